@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How kernels are compiled and spread over the cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar('F', bound=Callable[..., Any])
+
+# Without nnan and ninf: NaN keeps its meaning.
+FASTMATH = {'contract', 'arcp', 'nsz', 'reassoc'}
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` with the GIL released and the result cached on disk."""
+    compiled: F = numba.njit(
+        nogil=True, cache=True, fastmath=FASTMATH, error_model='numpy', boundscheck=False
+    )(function)
+    return compiled
+
+
+def thread_count() -> int:
+    """Return the number of cores this process may use (``OMP_NUM_THREADS`` lowers it)."""
+    available = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else 1
+    limit = os.environ.get('OMP_NUM_THREADS', '')
+    return max(1, min(available, int(limit))) if limit.isdigit() else available
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix='kernel')
+
+
+def over_strips(function: Callable[..., None], length: int, *args: Any, strip: int = 32) -> None:
+    """Call ``function(*args, start, stop)`` for strips of ``range(length)`` on all cores.
+
+    The strips do not depend on the number of threads, so neither do results that are
+    accumulated per strip. Strips must not write to the same memory.
+    """
+    threads = thread_count()
+    bounds = [(start, min(start + strip, length)) for start in range(0, length, strip)]
+    if threads == 1 or len(bounds) == 1:
+        for start, stop in bounds:
+            function(*args, start, stop)
+        return
+    for future in [_pool(threads).submit(function, *args, start, stop) for start, stop in bounds]:
+        future.result()

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options of the chain: every default, unit, range and description is written here and only here.
+
+Nodes declare their ROS parameters from these fields, the command line its options, and the
+documentation its tables. Names shared with image_pipeline keep its meaning.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from binocular_recon.errors import ConfigError
+
+OptionValue = bool | int | float | str
+
+
+def option(
+    default: OptionValue,
+    description: str,
+    *,
+    unit: str = '',
+    minimum: float | None = None,
+    maximum: float | None = None,
+    step: int | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """Declare an option: a dataclass field with its description, unit and limits.
+
+    Parameters
+    ----------
+    default : bool, int, float or str
+        Default value; its type is the option's type.
+    description : str
+        One sentence for users, without the unit.
+    unit : str
+        Unit of the value, empty for a pure number.
+    minimum, maximum : float, optional
+        Closed limits of a number.
+    step : int, optional
+        An integer option takes ``minimum + k * step`` only.
+    choices : tuple of str, optional
+        Accepted values of a string option.
+
+    """
+    metadata = {
+        'description': description,
+        'unit': unit,
+        'minimum': minimum,
+        'maximum': maximum,
+        'step': step,
+        'choices': choices,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def check_option(spec: dataclasses.Field[Any], value: object) -> OptionValue:
+    """Return ``value`` as the option's type, or raise a ConfigError that says what is allowed."""
+    kind = type(spec.default)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise ConfigError(f'{spec.name} must be of type {kind.__name__}, got {value!r}')
+    meta = spec.metadata
+    if meta['choices'] is not None and value not in meta['choices']:
+        raise ConfigError(f'{spec.name} must be one of {", ".join(meta["choices"])}, got {value!r}')
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        low, high, step = meta['minimum'], meta['maximum'], meta['step']
+        unit = f' {meta["unit"]}' if meta['unit'] else ''
+        # `not (>=)` refuses NaN too
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise ConfigError(f'{spec.name} must be within {low}..{high}{unit}, got {value}')
+        if step is not None and (value - (low or 0)) % step:
+            raise ConfigError(
+                f'{spec.name} must be {low} plus a multiple of {step}{unit}, got {value}'
+            )
+    return value  # type: ignore[return-value]
+
+
+class Options:
+    """Base of option groups: checks every field when constructed."""
+
+    def __post_init__(self) -> None:
+        """Check each option against its limits."""
+        for spec in dataclasses.fields(self):  # type: ignore[arg-type]
+            object.__setattr__(self, spec.name, check_option(spec, getattr(self, spec.name)))
+
+
+@dataclass(frozen=True)
+class MatchConfig(Options):
+    """How rectified rows are matched (eq. 10 and what follows it)."""
+
+    min_disparity: int = option(
+        0, 'Smallest disparity searched', unit='px', minimum=-2048, maximum=2048
+    )
+    disparity_range: int = option(
+        128, 'Number of disparities searched', unit='px', minimum=1, maximum=4096
+    )
+    correlation_window_size: int = option(
+        9, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
+    )
+    texture_threshold: float = option(
+        1.0,
+        'Least standard deviation of a window, in grey levels of 255',
+        unit='grey levels',
+        minimum=0.0,
+        maximum=127.0,
+    )
+    uniqueness_ratio: float = option(
+        0.0,
+        "Percent by which the best score's 1 - NCC must beat the second best that is not its"
+        ' neighbour',
+        unit='%',
+        minimum=0.0,
+        maximum=100.0,
+    )
+    disp12_max_diff: float = option(
+        1.0,
+        'Largest difference between left-to-right and right-to-left disparity; negative = off',
+        unit='px',
+        minimum=-1.0,
+        maximum=128.0,
+    )
+    speckle_size: int = option(
+        0, 'Smaller connected regions are invalid', unit='px', minimum=0, maximum=100_000
+    )
+    speckle_range: float = option(
+        1.0,
+        'Largest step of disparity inside a connected region',
+        unit='px',
+        minimum=0.0,
+        maximum=64.0,
+    )
+
+
+@dataclass(frozen=True)
+class FilterConfig(Options):
+    """How the disparity map is denoised and completed (eq. 11-15)."""
+
+    wls_lambda: float = option(
+        0.02, 'Weight of smoothness against data', minimum=0.0, maximum=1000.0
+    )
+    wls_alpha: float = option(
+        1.2, "Sensitivity to the guide's gradients", minimum=0.0, maximum=4.0
+    )
+    wls_epsilon: float = option(
+        1e-4, 'Added to the gradient term so that flat regions stay finite', minimum=1e-8, maximum=1.0
+    )
+    wls_guide: str = option(
+        'left', 'Image whose edges are preserved', choices=('left', 'disparity')
+    )
+    wls_tolerance_px: float = option(
+        0.01,
+        'Largest error of the solution against the exact one',
+        unit='px',
+        minimum=1e-5,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class CloudConfig(Options):
+    """Which points the cloud holds (eq. 16-18)."""
+
+    min_depth: float = option(
+        0.0, 'Nearer points are left out', unit='m', minimum=0.0, maximum=1e6
+    )
+    max_depth: float = option(
+        1e6, 'Farther points are left out', unit='m', minimum=0.0, maximum=1e6
+    )
+
+
+@dataclass(frozen=True)
+class ChainConfig:
+    """All options of the chain."""
+
+    match: MatchConfig = field(default_factory=MatchConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    cloud: CloudConfig = field(default_factory=CloudConfig)
+
+    @classmethod
+    def preset(cls, name: str, **overrides: OptionValue) -> ChainConfig:
+        """Return preset ``name`` with single options replaced.
+
+        Parameters
+        ----------
+        name : str
+            One of ``PRESETS``.
+        **overrides : bool, int, float or str
+            Options of any group by name; an explicit value wins over the preset's.
+
+        Raises
+        ------
+        ConfigError
+            If the preset or an option is unknown or a value is out of range.
+
+        """
+        if name not in PRESETS:
+            raise ConfigError(f'preset must be one of {", ".join(PRESETS)}, got {name!r}')
+        values = {**PRESETS[name], **overrides}
+        groups = {}
+        for group in dataclasses.fields(cls):
+            kind: Any = group.default_factory
+            names = {spec.name for spec in dataclasses.fields(kind)}
+            groups[group.name] = kind(**{key: values.pop(key) for key in names & values.keys()})
+        if values:
+            raise ConfigError(f'unknown options: {", ".join(sorted(values))}')
+        return cls(**groups)
+
+
+# What each preset changes; the rest are the fields' defaults.
+PRESETS: dict[str, dict[str, OptionValue]] = {
+    # exactly the paper's method, as docs/method.md defines it
+    'paper': {
+        'correlation_window_size': 9,
+        'texture_threshold': 0.0,
+        'disp12_max_diff': -1.0,
+        'wls_lambda': 0.35,
+        'wls_alpha': 1.8,
+        'wls_epsilon': 1e-4,
+    },
+    'default': {},
+}

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that the package raises on purpose.
+
+Every message says what is wrong, which value, the limit and the remedy. The command line turns
+them into exit status 1; the nodes log them and drop the frame.
+"""
+
+
+class BinocularReconError(Exception):
+    """Base of every error that the package raises on purpose."""
+
+
+class ConfigError(BinocularReconError, ValueError):
+    """An option has an unknown name or a value outside its range."""
+
+
+class ImageError(BinocularReconError, ValueError):
+    """An image has the wrong size, encoding or content."""
+
+
+class CalibrationError(BinocularReconError, ValueError):
+    """A calibration is missing, contradicts itself or cannot be estimated."""
+
+
+class BagError(BinocularReconError):
+    """A bag cannot be read or does not hold what is needed."""
+
+
+class FileError(BinocularReconError, OSError):
+    """A file cannot be read or written."""
