@@ -133,6 +133,11 @@ class MatchConfig(Options):
         maximum=64.0,
     )
 
+    @property
+    def limits_px(self) -> tuple[float, float]:
+        """Smallest and largest disparity searched, px."""
+        return float(self.min_disparity), float(self.min_disparity + self.disparity_range - 1)
+
 
 @dataclass(frozen=True)
 class FilterConfig(Options):

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The chain on one page: rectify, match, filter, triangulate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.config import ChainConfig
+from binocular_recon.io.images import to_grey
+from binocular_recon.stereo.filtering import Filtered, filter_disparity
+from binocular_recon.stereo.matching import Match, match
+from binocular_recon.stereo.rectification import Image, Rectifier, check_size
+from binocular_recon.stereo.triangulation import Cloud, triangulate
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What the chain makes of one picture pair.
+
+    Attributes
+    ----------
+    left, right : (H, W) or (H, W, C)
+        Rectified pictures, dtype of the input.
+    matched : Match
+        Disparity and confidence of each pixel that could be matched.
+    filtered : Filtered
+        Dense disparity with its standard deviation.
+    cloud : Cloud
+        Metric points in the left rectified frame.
+
+    """
+
+    left: Image
+    right: Image
+    matched: Match
+    filtered: Filtered
+    cloud: Cloud
+
+
+class Chain:
+    """Reconstruct picture pairs of one rig.
+
+    Parameters
+    ----------
+    rig : StereoRig
+        Calibration of the incoming pictures.
+    config : ChainConfig
+        Options of every stage.
+    rectify : bool
+        False if the pictures are rectified already.
+    alpha : float
+        Passed to `Rectifier`.
+
+    Attributes
+    ----------
+    rig : StereoRig
+        Rectified rig: the frame of the results.
+
+    """
+
+    def __init__(
+        self, rig: StereoRig, config: ChainConfig, *, rectify: bool = True, alpha: float = -1.0
+    ) -> None:
+        self.config = config
+        self._rectifier = Rectifier(rig, alpha) if rectify else None
+        self.rig = self._rectifier.rig if self._rectifier else rig
+
+    def __call__(self, left: Image, right: Image) -> Reconstruction:
+        """Reconstruct one pair.
+
+        Parameters
+        ----------
+        left, right : (H, W) or (H, W, C), uint8, uint16 or float32
+            Pictures of the calibrated size; colour as BGR.
+
+        Raises
+        ------
+        ImageError
+            If the sizes or dtypes do not fit.
+
+        """
+        config = self.config
+        left, right = self._rectify(left, right)
+        left_grey, right_grey = to_grey(left), to_grey(right)
+        matched = match(left_grey, right_grey, config.match)  # eq. 10
+        filtered = filter_disparity(  # eq. 11-15
+            matched.disparity_px,
+            matched.confidence,
+            left_grey,
+            config.filter,
+            limits_px=config.match.limits_px,
+        )
+        cloud = triangulate(  # eq. 16-18
+            filtered.disparity_px, filtered.sigma_px, self.rig, config.cloud
+        )
+        return Reconstruction(left, right, matched, filtered, cloud)
+
+    def _rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
+        if self._rectifier:
+            return self._rectifier(left, right)
+        check_size(left, self.rig.left.size, 'left')
+        check_size(right, self.rig.right.size, 'right')
+        return left, right

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rectification: the raw pictures of a rig become pictures whose rows correspond."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.errors import ConfigError, ImageError
+
+Image = npt.NDArray[Any]
+Map = npt.NDArray[np.float32]
+
+# Points along each side of the picture that stand for its border in `_border_points`.
+_BORDER_SAMPLES = 65
+
+
+def rectification_maps(camera: Camera) -> tuple[Map, Map]:
+    """Return where each rectified pixel lies in the raw picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Calibrated camera; ``R`` and ``P`` define the rectified picture.
+
+    Returns
+    -------
+    map_x, map_y : (H, W) float32
+        Raw column and row, px; pixel centres are at whole numbers.
+
+    """
+    if camera.distortion_model == 'equidistant':
+        return cv2.fisheye.initUndistortRectifyMap(  # type: ignore[return-value]
+            camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
+        )
+    return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
+        camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
+    )
+
+
+class Rectifier:
+    """Rectify picture pairs of one rig; the maps are made once.
+
+    Parameters
+    ----------
+    rig : StereoRig
+        Calibration of the raw pictures.
+    alpha : float
+        -1 uses P as it is. 0..1 scales the focal length of both cameras about their principal
+        points, as ``cv2.stereoRectify`` does: at 0 every rectified pixel has data, at 1 every raw
+        pixel is kept. R stays.
+    interpolation : int
+        OpenCV's interpolation flag.
+
+    Attributes
+    ----------
+    rig : StereoRig
+        The rectified rig: no distortion, K = P[:, :3], R = identity.
+
+    Raises
+    ------
+    ConfigError
+        If ``alpha`` is neither -1 nor within 0..1.
+
+    """
+
+    def __init__(
+        self, rig: StereoRig, alpha: float = -1.0, interpolation: int = cv2.INTER_LINEAR
+    ) -> None:
+        if alpha != -1.0 and not 0.0 <= alpha <= 1.0:
+            raise ConfigError(f'alpha must be -1 (keep P) or within 0..1, got {alpha}')
+        if alpha >= 0.0:
+            rig = _rescaled(rig, alpha)
+        self.rig = StereoRig(_rectified(rig.left), _rectified(rig.right))
+        self._size = rig.left.size
+        self._interpolation = interpolation
+        # fixed-point maps: remap is twice as fast and rounds to 1/32 px either way
+        self._maps = tuple(
+            cv2.convertMaps(*rectification_maps(camera), cv2.CV_16SC2)
+            for camera in (rig.left, rig.right)
+        )
+
+    def __call__(self, left: Image, right: Image) -> tuple[Image, Image]:
+        """Rectify a pair.
+
+        Parameters
+        ----------
+        left, right : (H, W) or (H, W, C), uint8, uint16 or float32
+            Raw pictures of the calibrated size.
+
+        Returns
+        -------
+        left, right : same shape and dtype
+            Rectified pictures; 0 where the raw picture has no data.
+
+        Raises
+        ------
+        ImageError
+            If a picture has not the calibrated size.
+
+        """
+        rectified = []
+        for side, image, maps in zip(('left', 'right'), (left, right), self._maps):
+            check_size(image, self._size, side)
+            rectified.append(cv2.remap(image, *maps, self._interpolation))
+        return rectified[0], rectified[1]
+
+
+def check_size(image: Image, size: tuple[int, int], side: str) -> None:
+    """Raise an ImageError if ``image`` has not the calibrated ``size`` (width, height)."""
+    height, width = image.shape[:2]
+    if (width, height) != size:
+        raise ImageError(
+            f'{side} image is {width}x{height} px, its calibration is for {size[0]}x{size[1]};'
+            ' use the calibration of this resolution'
+        )
+
+
+def _rectified(camera: Camera) -> Camera:
+    return dataclasses.replace(
+        camera,
+        K=camera.P[:, :3],
+        D=np.zeros(5),
+        R=np.eye(3),
+        distortion_model='plumb_bob',
+    )
+
+
+def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
+    """Scale both focal lengths so that nothing is empty (alpha 0) or nothing lost (alpha 1)."""
+    inner, outer = [], []
+    for camera in (rig.left, rig.right):
+        left, top, right, bottom = _border_points(camera)
+        centre = camera.P[:2, 2]
+        # distance of the picture's four sides from the principal point, and of the data's
+        sides = np.array([*centre, camera.width - 1 - centre[0], camera.height - 1 - centre[1]])
+        nearest = [left[:, 0].max(), top[:, 1].max(), right[:, 0].min(), bottom[:, 1].min()]
+        every = np.concatenate([left, top, right, bottom])
+        farthest = [*every.min(axis=0), *every.max(axis=0)]
+        sign, centres = np.array([-1, -1, 1, 1]), np.tile(centre, 2)
+        inner.append(sides / (sign * (nearest - centres)))
+        outer.append(sides / (sign * (farthest - centres)))
+    scale = (1 - alpha) * np.max(inner) + alpha * np.min(outer)
+    factors = np.array([[scale, 1, 1, scale], [1, scale, 1, 1], [1, 1, 1, 1]])
+    left_camera, right_camera = (
+        dataclasses.replace(camera, P=camera.P * factors) for camera in (rig.left, rig.right)
+    )
+    return StereoRig(left_camera, right_camera)
+
+
+def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the left, top, right and bottom border of the raw picture, rectified, px."""
+    x = np.linspace(0, camera.width - 1, _BORDER_SAMPLES)
+    y = np.linspace(0, camera.height - 1, _BORDER_SAMPLES)
+    sides = [
+        np.stack(np.broadcast_arrays(column, row), axis=-1)
+        for column, row in ((x[0], y), (x, y[0]), (x[-1], y), (x, y[-1]))
+    ]
+    raw = np.concatenate(sides)[:, None]
+    if camera.distortion_model == 'equidistant':
+        points = cv2.fisheye.undistortPoints(
+            raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3]
+        )
+    else:
+        points = cv2.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
+    left, top, right, bottom = points.reshape(4, _BORDER_SAMPLES, 2)
+    return left, top, right, bottom
