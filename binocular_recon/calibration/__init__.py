@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Calibration of a long-baseline rig from rods in the scene."""

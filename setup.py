@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build and installation; ``package.xml`` states the same for ROS."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'binocular_recon'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Accurate 3-D point clouds of large scenes from a long-baseline stereo rig',
+    license='Apache-2.0',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        (f'share/{PACKAGE}/config', glob('config/*')),
+        (f'share/{PACKAGE}/rviz', glob('rviz/*.rviz')),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'numba>=0.59',
+        'numpy>=1.26,<3',
+        'opencv-python-headless>=4.6.0.66,<6',
+        'PyYAML>=6',
+        'rosbags>=0.11,<0.12',
+        'scipy>=1.11.4',
+    ],
+    zip_safe=True,
+    entry_points={
+        'console_scripts': [
+            f'{node} = {PACKAGE}.nodes.{node}:main'
+            for node in ('match_node', 'play_bag', 'rectify_node', 'wls_filter_node')
+        ],
+    },
+)
