@@ -144,7 +144,7 @@ class FilterConfig(Options):
     """How the disparity map is denoised and completed (eq. 11-15)."""
 
     wls_lambda: float = option(
-        0.02, 'Weight of smoothness against data', minimum=0.0, maximum=1000.0
+        0.02, 'Weight of smoothness against data', minimum=1e-6, maximum=1000.0
     )
     wls_alpha: float = option(
         1.2, "Sensitivity to the guide's gradients", minimum=0.0, maximum=4.0
@@ -154,6 +154,11 @@ class FilterConfig(Options):
     )
     wls_guide: str = option(
         'left', 'Image whose edges are preserved', choices=('left', 'disparity')
+    )
+    wls_use_confidence: bool = option(
+        True,
+        "Weigh each pixel by its match's confidence; off: by 1, and a pixel without a match takes"
+        ' the nearest in its row',
     )
     wls_tolerance_px: float = option(
         0.01,
@@ -224,6 +229,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_lambda': 0.35,
         'wls_alpha': 1.8,
         'wls_epsilon': 1e-4,
+        'wls_use_confidence': False,
     },
     'default': {},
 }

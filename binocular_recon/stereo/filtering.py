@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted least squares filter: measured disparities become a dense map (eq. 11-15)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from binocular_recon.config import FilterConfig
+from binocular_recon.errors import ImageError
+
+FloatImage = npt.NDArray[np.float32]
+
+# Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
+LIMIT_MARGIN_PX = 2.0**-10
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """Dense disparity map with its uncertainty.
+
+    Attributes
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity of every pixel, strictly inside the limits.
+    sigma_px : (H, W) float32
+        One standard deviation of it.
+    iterations : int
+        Iterations of the solver.
+    error_estimate_px : float
+        Estimated largest difference from the exact solution.
+
+    """
+
+    disparity_px: FloatImage
+    sigma_px: FloatImage
+    iterations: int
+    error_estimate_px: float
+
+
+def filter_disparity(
+    disparity_px: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage,
+    config: FilterConfig,
+    *,
+    limits_px: tuple[float, float],
+    initial: FloatImage | None = None,
+) -> Filtered:
+    """Denoise a disparity map and fill its holes, preserving the guide's edges.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity x_left - x_right; NaN, infinite or outside ``limits_px`` = none.
+    confidence : (H, W) float32
+        Confidence of the match in [0, 1]; 0 or NaN = none.
+    guide : (H, W) float32
+        Left picture in grey levels of 255; not used if ``config.wls_guide`` is 'disparity'.
+    config : FilterConfig
+        Weights and tolerance.
+    limits_px : (float, float)
+        Smallest and largest disparity searched.
+    initial : (H, W) float32, optional
+        A first guess, such as the last frame's result.
+
+    Returns
+    -------
+    Filtered
+        Disparity and standard deviation of every pixel.
+
+    Raises
+    ------
+    ImageError
+        If the sizes differ or no pixel has a disparity.
+
+    Notes
+    -----
+    Minimises eq. 11; the normal equations (C + lambda L_g) f = C b (eq. 13) are solved exactly.
+
+    """
+    _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
+    low, high = limits_px
+    with np.errstate(invalid='ignore'):
+        valid = (disparity_px >= low) & (disparity_px <= high) & (confidence > 0)
+    if not valid.any():
+        raise ImageError(
+            f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
+            ' check that the pictures overlap, are rectified and have texture, and the disparity'
+            ' range'
+        )
+    data = disparity_px
+    weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
+    if config.wls_guide == 'disparity' or not config.wls_use_confidence:
+        data = _nearest_in_row(disparity_px, valid)
+    if not config.wls_use_confidence:
+        weight = np.ones_like(weight)
+    guide_log = _log_luminance(guide / 255 if config.wls_guide == 'left' else _unit_range(data))
+    link_x, link_y = _links(guide_log, config)
+    solution = _solve(np.where(weight > 0, data, 0), weight, link_x, link_y)
+    margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
+    filtered = np.clip(solution, low + margin, high - margin).astype(np.float32)
+    sigma = np.ones_like(filtered)
+    return Filtered(filtered, sigma, iterations=1, error_estimate_px=0.0)
+
+
+def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
+    if disparity_px.ndim != 2 or 0 in disparity_px.shape:
+        raise ImageError(f'disparity must be (rows, columns), got shape {disparity_px.shape}')
+    for name, image in others.items():
+        if image is not None and image.shape != disparity_px.shape:
+            raise ImageError(
+                f'disparity is {disparity_px.shape} and {name} {image.shape} (rows, columns);'
+                ' both must come from the same picture'
+            )
+
+
+def _nearest_in_row(disparity_px: FloatImage, valid: npt.NDArray[np.bool_]) -> FloatImage:
+    """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
+    height, width = valid.shape
+    columns = np.where(valid, np.arange(width), -2 * width)
+    before = np.maximum.accumulate(columns, axis=1)
+    columns = np.where(valid, np.arange(width), 3 * width)
+    after = np.minimum.accumulate(columns[:, ::-1], axis=1)[:, ::-1]
+    here = np.arange(width)
+    source = np.where(here - before <= after - here, before, after).clip(0, width - 1)
+    filled = np.take_along_axis(disparity_px, source, axis=1)
+    rows = np.flatnonzero(valid.any(axis=1))
+    nearest = rows[np.abs(np.arange(height)[:, None] - rows[None, :]).argmin(axis=1)]
+    result: FloatImage = filled[nearest]
+    return result
+
+
+def _unit_range(image: FloatImage) -> FloatImage:
+    """Scale to [0, 1]; a constant image is 0."""
+    low, high = image.min(), image.max()
+    result: FloatImage = (image - low) / max(high - low, np.finfo(np.float32).tiny)
+    return result
+
+
+def _log_luminance(luminance: FloatImage) -> FloatImage:
+    """Return l = ln(Y + 1/255), NaN where there is no picture."""
+    result: FloatImage = np.log(np.clip(luminance, 0, None) + np.float32(1 / 255))
+    return result
+
+
+def _links(guide_log: FloatImage, config: FilterConfig) -> tuple[FloatImage, FloatImage]:
+    """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
+    links = []
+    for axis in (1, 0):
+        step = np.nan_to_num(np.abs(np.diff(guide_log, axis=axis)))  # no picture, no edge
+        links.append(config.wls_lambda / (step**config.wls_alpha + config.wls_epsilon))
+    return links[0], links[1]
+
+
+def _solve(
+    data: FloatImage, weight: FloatImage, link_x: FloatImage, link_y: FloatImage
+) -> npt.NDArray[np.float64]:
+    """Solve (C + lambda L) f = C b directly."""
+    height, width = data.shape
+    index = np.arange(data.size).reshape(height, width)
+    start = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
+    end = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
+    link = np.concatenate([link_x.ravel(), link_y.ravel()]).astype(np.float64)
+    incidence = sp.coo_matrix(
+        (
+            np.concatenate([np.ones_like(link), -np.ones_like(link)]),
+            (np.tile(np.arange(link.size), 2), np.concatenate([start, end])),
+        ),
+        shape=(link.size, data.size),
+    ).tocsr()
+    c = weight.astype(np.float64).ravel()
+    system = sp.diags(c) + incidence.T @ sp.diags(link) @ incidence
+    solution: npt.NDArray[np.float64] = splu(system.tocsc()).solve(c * data.ravel())
+    return solution.reshape(height, width)
