@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -19,10 +19,10 @@ FASTMATH = {'contract', 'arcp', 'nsz', 'reassoc'}
 
 def kernel(function: F) -> F:
     """Compile ``function`` with the GIL released and the result cached on disk."""
-    compiled: F = numba.njit(
+    decorate = numba.njit(
         nogil=True, cache=True, fastmath=FASTMATH, error_model='numpy', boundscheck=False
-    )(function)
-    return compiled
+    )
+    return cast('F', decorate(function))
 
 
 def thread_count() -> int:

@@ -7,6 +7,7 @@ Frames: optical, x right, y down, z forward, metres. ``x_rectified = R x_camera`
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,9 +63,9 @@ class Camera:
         """Bring the matrices to shape and check them."""
         for name, shape in (('K', (3, 3)), ('D', (-1,)), ('R', (3, 3)), ('P', (3, 4))):
             values = np.asarray(getattr(self, name), np.float64)
-            if shape != (-1,) and values.size != shape[0] * shape[1]:
+            if name != 'D' and values.size != math.prod(shape):
                 raise CalibrationError(
-                    f'{name} must have {shape[0] * shape[1]} values, got {values.size}'
+                    f'{name} must have {math.prod(shape)} values, got {values.size}'
                 )
             if not np.isfinite(values).all():
                 raise CalibrationError(f'{name} holds values that are not finite; calibrate again')
@@ -131,7 +132,8 @@ class StereoRig:
         ):
             raise CalibrationError(
                 f'rectified cameras must share fx, fy and cy, got left {self.left.P[0, 0]:g},'
-                f' {left_rows} and right {self.right.P[0, 0]:g}, {right_rows}; rectify them as a pair'
+                f' {left_rows} and right {self.right.P[0, 0]:g}, {right_rows};'
+                ' rectify them as a pair'
             )
 
     @property
