@@ -64,7 +64,9 @@ def check_option(spec: dataclasses.Field[Any], value: object) -> OptionValue:
         raise ConfigError(f'{spec.name} must be of type {kind.__name__}, got {value!r}')
     meta = spec.metadata
     if meta['choices'] is not None and value not in meta['choices']:
-        raise ConfigError(f'{spec.name} must be one of {", ".join(meta["choices"])}, got {value!r}')
+        raise ConfigError(
+            f'{spec.name} must be one of {", ".join(meta["choices"])}, got {value!r}'
+        )
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         low, high, step = meta['minimum'], meta['maximum'], meta['step']
         unit = f' {meta["unit"]}' if meta['unit'] else ''
@@ -150,7 +152,10 @@ class FilterConfig(Options):
         1.2, "Sensitivity to the guide's gradients", minimum=0.0, maximum=4.0
     )
     wls_epsilon: float = option(
-        1e-4, 'Added to the gradient term so that flat regions stay finite', minimum=1e-8, maximum=1.0
+        1e-4,
+        'Added to the gradient term so that flat regions stay finite',
+        minimum=1e-8,
+        maximum=1.0,
     )
     wls_guide: str = option(
         'left', 'Image whose edges are preserved', choices=('left', 'disparity')

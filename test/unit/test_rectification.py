@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rectification against OpenCV, against projected points and on a really unrectified rig."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.errors import CalibrationError, ConfigError, ImageError
+from binocular_recon.stereo.rectification import Rectifier, rectification_maps
+
+SIZE = (320, 200)
+K_LEFT = np.array([[250.0, 0, 158], [0, 252, 103], [0, 0, 1]])
+K_RIGHT = np.array([[260.0, 0, 163], [0, 259, 97], [0, 0, 1]])
+DISTORTIONS = {
+    'plumb_bob': [-0.28, 0.07, 2e-4, 2e-5, 0.01],
+    'rational_polynomial': [0.3, -0.1, 1e-4, -2e-4, 0.02, 0.5, -0.05, 0.01],
+    'equidistant': [-0.02, 0.01, -0.003, 0.001],
+}
+
+
+def make_rig(model: str = 'plumb_bob') -> tuple[StereoRig, FloatArray, FloatArray]:
+    """Return a misaligned rig rectified by OpenCV with its R and T (x_right = R x_left + T)."""
+    rotation = cv2.Rodrigues(np.array([0.02, -0.03, 0.01]))[0]
+    translation = -rotation @ np.array([0.5, 0.01, -0.02])
+    distortion = np.array(DISTORTIONS[model])
+    # distortion does not enter with alpha = -1, so plain stereoRectify serves all models
+    result = cv2.stereoRectify(
+        K_LEFT, np.zeros(5), K_RIGHT, np.zeros(5), SIZE, rotation, translation.reshape(3, 1),
+        alpha=-1, flags=0,
+    )  # fmt: skip
+    r_left, r_right, p_left, p_right = result[:4]
+    rig = StereoRig(
+        Camera(*SIZE, K_LEFT, distortion, r_left, p_left, model),
+        Camera(*SIZE, K_RIGHT, distortion, r_right, p_right, model),
+    )
+    return rig, rotation, translation
+
+
+def project(points: FloatArray, camera: Camera) -> FloatArray:
+    """Project points in the camera's own frame to its raw picture."""
+    zero = np.zeros(3)
+    if camera.distortion_model == 'equidistant':
+        return cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.K, camera.D)[0][:, 0]
+    return cv2.projectPoints(points, zero, zero, camera.K, camera.D)[0][:, 0]
+
+
+@pytest.mark.parametrize('model', DISTORTIONS)
+def test_maps_lead_to_where_the_raw_camera_sees_the_point(model: str) -> None:
+    rig, _, _ = make_rig(model)
+    rng = np.random.default_rng(1)
+    for camera in (rig.left, rig.right):
+        pixels = np.column_stack([rng.integers(0, 320, 200), rng.integers(0, 200, 200)])
+        rays = np.column_stack([pixels, np.ones(200)]) @ np.linalg.inv(camera.P[:, :3]).T
+        expected = project(rays @ camera.R, camera)
+        map_x, map_y = rectification_maps(camera)
+        found = np.stack([m[pixels[:, 1], pixels[:, 0]] for m in (map_x, map_y)], axis=-1)
+        assert np.abs(found - expected).max() < 1e-3
+
+
+@pytest.mark.parametrize('model', DISTORTIONS)
+def test_maps_equal_opencv(model: str) -> None:
+    camera = make_rig(model)[0].left
+    module = cv2.fisheye if model == 'equidistant' else cv2
+    expected = module.initUndistortRectifyMap(
+        camera.K, camera.D, camera.R, camera.P[:, :3], SIZE, cv2.CV_32FC1
+    )
+    for found, wanted in zip(rectification_maps(camera), expected):
+        np.testing.assert_allclose(found, wanted, atol=1e-3)
+
+
+def test_rows_of_a_scene_correspond_and_depth_is_metric() -> None:
+    rig, rotation, translation = make_rig()
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-2, -1, 5], [2, 1, 15], (100, 3))
+    in_right = points @ rotation.T + translation
+    rows = []
+    for camera, own in ((rig.left, points), (rig.right, in_right)):
+        image = own @ camera.R.T @ camera.P[:, :3].T
+        if camera is rig.left:
+            depth = image[:, 2]
+        rows.append(image[:, :2] / image[:, 2:])
+    assert np.abs(rows[0][:, 1] - rows[1][:, 1]).max() < 1e-9
+    disparity = rows[0][:, 0] - rows[1][:, 0] - rig.disparity_offset_px
+    np.testing.assert_allclose(rig.focal_px * rig.baseline_m / disparity, depth, rtol=1e-9)
+    assert rig.baseline_m == pytest.approx(np.linalg.norm(translation), rel=1e-9)
+
+
+def test_rectified_rig_is_what_interface_promises() -> None:
+    rig = make_rig()[0]
+    rectified = Rectifier(rig).rig
+    for camera, source in ((rectified.left, rig.left), (rectified.right, rig.right)):
+        assert (camera.D == np.zeros(5)).all()
+        assert (camera.R == np.eye(3)).all()
+        np.testing.assert_array_equal(camera.K, source.P[:, :3])
+        np.testing.assert_array_equal(camera.P, source.P)
+
+
+@pytest.mark.parametrize('alpha', [0.0, 0.4, 1.0])
+def test_alpha_equals_stereo_rectify(alpha: float) -> None:
+    _, rotation, translation = make_rig()
+    distortion = np.array(DISTORTIONS['plumb_bob'])
+    cameras = (K_LEFT, distortion, K_RIGHT, distortion, SIZE, rotation, translation.reshape(3, 1))
+    plain = cv2.stereoRectify(*cameras, alpha=-1, flags=0)
+    wanted = cv2.stereoRectify(*cameras, alpha=alpha, flags=0)
+    rig = StereoRig(
+        Camera(*SIZE, K_LEFT, distortion, plain[0], plain[2]),
+        Camera(*SIZE, K_RIGHT, distortion, plain[1], plain[3]),
+    )
+    rectified = Rectifier(rig, alpha).rig
+    # OpenCV samples the border at 9 x 9 points only
+    np.testing.assert_allclose(rectified.left.P, wanted[2], rtol=5e-3, atol=1e-6)
+    np.testing.assert_allclose(rectified.right.P, wanted[3], rtol=5e-3, atol=1e-6)
+    assert rectified.baseline_m == pytest.approx(rig.baseline_m, rel=1e-9)
+
+
+@pytest.mark.parametrize('model', DISTORTIONS)
+def test_alpha_0_has_no_empty_pixel_and_alpha_1_loses_none(model: str) -> None:
+    rig = make_rig(model)[0]
+    white = np.full(SIZE[::-1], 255, np.uint8)
+    for rectified in Rectifier(rig, 0.0)(white, white):
+        assert (rectified[1:-1, 1:-1] == 255).all()
+    full = Rectifier(rig, 1.0).rig
+    for camera, source in ((full.left, rig.left), (full.right, rig.right)):
+        map_x, map_y = rectification_maps(dataclasses.replace(source, P=camera.P))
+        assert map_x.min() <= 1 and map_x.max() >= SIZE[0] - 2
+        assert map_y.min() <= 1 and map_y.max() >= SIZE[1] - 2
+
+
+@pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize('channels', [(), (3,), (4,)])
+def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> None:
+    image = np.ones((*SIZE[::-1], *channels), dtype)
+    left, right = Rectifier(make_rig()[0])(image, image)
+    assert left.shape == right.shape == image.shape
+    assert left.dtype == right.dtype == dtype
+
+
+def test_wrong_size_is_refused() -> None:
+    good, bad = np.zeros((200, 320), np.uint8), np.zeros((100, 320), np.uint8)
+    rectifier = Rectifier(make_rig()[0])
+    with pytest.raises(ImageError, match=r'right image is 320x100 px, .* for 320x200'):
+        rectifier(good, bad)
+
+
+@pytest.mark.parametrize('alpha', [-0.5, 1.1, float('nan')])
+def test_alpha_out_of_range_is_refused(alpha: float) -> None:
+    with pytest.raises(ConfigError, match='alpha must be -1'):
+        Rectifier(make_rig()[0], alpha)
+
+
+def _euroc_rig(folder: Path) -> StereoRig:
+    poses, cameras = [], []
+    for name in ('cam0', 'cam1'):
+        text = (folder / name / 'sensor.yaml').read_text().replace('%YAML:1.0', '')
+        sensor = yaml.safe_load(text)
+        poses.append(np.array(sensor['T_BS']['data']).reshape(4, 4))
+        fu, fv, cu, cv = sensor['intrinsics']
+        cameras.append(
+            (np.array([[fu, 0, cu], [0, fv, cv], [0, 0, 1]]), sensor['distortion_coefficients'])
+        )
+    size = tuple(sensor['resolution'])
+    right_from_left = np.linalg.inv(poses[1]) @ poses[0]
+    (k_left, d_left), (k_right, d_right) = cameras
+    result = cv2.stereoRectify(
+        k_left, np.array(d_left), k_right, np.array(d_right), size,
+        right_from_left[:3, :3], right_from_left[:3, 3:], alpha=-1, flags=0,
+    )  # fmt: skip
+    return StereoRig(
+        Camera(*size, k_left, d_left, result[0], result[2]),
+        Camera(*size, k_right, d_right, result[1], result[3]),
+    )
+
+
+def test_features_of_a_real_unrectified_rig_lie_on_common_rows(shared_data: Path) -> None:
+    folder = shared_data / 'raw_stereo'
+    rectifier = Rectifier(_euroc_rig(folder))
+    detector = cv2.ORB_create(nfeatures=1500)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    rows, disparities = [], []
+    for path in sorted((folder / 'cam0').glob('*.png'))[::3]:
+        pair = [cv2.imread(str(folder / cam / path.name), 0) for cam in ('cam0', 'cam1')]
+        (left, d_left), (right, d_right) = (
+            detector.detectAndCompute(image, None) for image in rectifier(*pair)
+        )
+        found = [m for m in matcher.match(d_left, d_right) if m.distance < 30]
+        shift = np.array([np.subtract(left[m.queryIdx].pt, right[m.trainIdx].pt) for m in found])
+        # the descriptor alone has wrong matches: keep those within 2 rows for the disparity's sign
+        rows.append(np.abs(shift[:, 1]))
+        disparities.append(shift[np.abs(shift[:, 1]) < 2, 0])
+    offset = rectifier.rig.disparity_offset_px
+    assert np.median(np.concatenate(rows)) <= 0.5
+    assert (np.concatenate(disparities) > offset).mean() >= 0.99
+
+
+def test_rig_of_swapped_cameras_is_refused() -> None:
+    rig = make_rig()[0]
+    with pytest.raises(CalibrationError, match='left and right are not swapped'):
+        StereoRig(rig.right, rig.left)
