@@ -34,13 +34,11 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
         Raw column and row, px; pixel centres are at whole numbers.
 
     """
-    if camera.distortion_model == 'equidistant':
-        return cv2.fisheye.initUndistortRectifyMap(  # type: ignore[return-value]
-            camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
-        )
-    return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
+    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
+    map_x, map_y = module.initUndistortRectifyMap(
         camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
     )
+    return map_x, map_y
 
 
 class Rectifier:
@@ -105,7 +103,7 @@ class Rectifier:
 
         """
         rectified = []
-        for side, image, maps in zip(('left', 'right'), (left, right), self._maps):
+        for side, image, maps in zip(('left', 'right'), (left, right), self._maps, strict=True):
             check_size(image, self._size, side)
             rectified.append(cv2.remap(image, *maps, self._interpolation))
         return rectified[0], rectified[1]
@@ -162,11 +160,7 @@ def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, 
         for column, row in ((x[0], y), (x, y[0]), (x[-1], y), (x, y[-1]))
     ]
     raw = np.concatenate(sides)[:, None]
-    if camera.distortion_model == 'equidistant':
-        points = cv2.fisheye.undistortPoints(
-            raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3]
-        )
-    else:
-        points = cv2.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
+    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
+    points = module.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
     left, top, right, bottom = points.reshape(4, _BORDER_SAMPLES, 2)
     return left, top, right, bottom

@@ -13,7 +13,7 @@ import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
-from binocular_recon.stereo.rectification import Rectifier, rectification_maps
+from binocular_recon.stereo.rectification import Image, Rectifier, rectification_maps
 
 SIZE = (320, 200)
 K_LEFT = np.array([[250.0, 0, 158], [0, 252, 103], [0, 0, 1]])
@@ -46,9 +46,9 @@ def make_rig(model: str = 'plumb_bob') -> tuple[StereoRig, FloatArray, FloatArra
 def project(points: FloatArray, camera: Camera) -> FloatArray:
     """Project points in the camera's own frame to its raw picture."""
     zero = np.zeros(3)
-    if camera.distortion_model == 'equidistant':
-        return cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.K, camera.D)[0][:, 0]
-    return cv2.projectPoints(points, zero, zero, camera.K, camera.D)[0][:, 0]
+    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
+    pixels: FloatArray = module.projectPoints(points[:, None], zero, zero, camera.K, camera.D)[0]
+    return pixels[:, 0]
 
 
 @pytest.mark.parametrize('model', DISTORTIONS)
@@ -71,7 +71,7 @@ def test_maps_equal_opencv(model: str) -> None:
     expected = module.initUndistortRectifyMap(
         camera.K, camera.D, camera.R, camera.P[:, :3], SIZE, cv2.CV_32FC1
     )
-    for found, wanted in zip(rectification_maps(camera), expected):
+    for found, wanted in zip(rectification_maps(camera), expected, strict=True):
         np.testing.assert_allclose(found, wanted, atol=1e-3)
 
 
@@ -96,8 +96,8 @@ def test_rectified_rig_is_what_interface_promises() -> None:
     rig = make_rig()[0]
     rectified = Rectifier(rig).rig
     for camera, source in ((rectified.left, rig.left), (rectified.right, rig.right)):
-        assert (camera.D == np.zeros(5)).all()
-        assert (camera.R == np.eye(3)).all()
+        np.testing.assert_array_equal(camera.D, np.zeros(5))
+        np.testing.assert_array_equal(camera.R, np.eye(3))
         np.testing.assert_array_equal(camera.K, source.P[:, :3])
         np.testing.assert_array_equal(camera.P, source.P)
 
@@ -136,7 +136,7 @@ def test_alpha_0_has_no_empty_pixel_and_alpha_1_loses_none(model: str) -> None:
 @pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize('channels', [(), (3,), (4,)])
 def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> None:
-    image = np.ones((*SIZE[::-1], *channels), dtype)
+    image: Image = np.ones((*SIZE[::-1], *channels), dtype)
     left, right = Rectifier(make_rig()[0])(image, image)
     assert left.shape == right.shape == image.shape
     assert left.dtype == right.dtype == dtype
@@ -165,16 +165,16 @@ def _euroc_rig(folder: Path) -> StereoRig:
         cameras.append(
             (np.array([[fu, 0, cu], [0, fv, cv], [0, 0, 1]]), sensor['distortion_coefficients'])
         )
-    size = tuple(sensor['resolution'])
+    width, height = sensor['resolution']
     right_from_left = np.linalg.inv(poses[1]) @ poses[0]
     (k_left, d_left), (k_right, d_right) = cameras
     result = cv2.stereoRectify(
-        k_left, np.array(d_left), k_right, np.array(d_right), size,
+        k_left, np.array(d_left), k_right, np.array(d_right), (width, height),
         right_from_left[:3, :3], right_from_left[:3, 3:], alpha=-1, flags=0,
     )  # fmt: skip
     return StereoRig(
-        Camera(*size, k_left, d_left, result[0], result[2]),
-        Camera(*size, k_right, d_right, result[1], result[3]),
+        Camera(width, height, k_left, d_left, result[0], result[2]),
+        Camera(width, height, k_right, d_right, result[1], result[3]),
     )
 
 
