@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disparity maps as PFM files: float32, rows bottom to top, inf = none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.errors import FileError
+from binocular_recon.io.files import complete_file
+
+FloatImage = npt.NDArray[np.float32]
+
+# Longest header line accepted, bytes: a file that is no PFM is not searched for a line end.
+_LINE_LIMIT = 128
+
+
+def write_pfm(path: Path, disparity_px: FloatImage) -> None:
+    """Write a disparity map.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; its folder must exist.
+    disparity_px : (H, W) float32
+        x_left - x_right; values that are not finite mean none.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+
+    """
+    height, width = disparity_px.shape
+    values = np.where(np.isfinite(disparity_px), disparity_px, np.inf)
+    with complete_file(path) as file:
+        file.write(f'Pf\n{width} {height}\n-1.0\n'.encode())
+        file.write(np.ascontiguousarray(values[::-1], '<f4').data)
+
+
+def read_pfm(path: Path) -> FloatImage:
+    """Read a disparity map.
+
+    Parameters
+    ----------
+    path : Path
+        Grey PFM of either byte order.
+
+    Returns
+    -------
+    disparity_px : (H, W) float32
+        x_left - x_right; NaN = none.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read or is no grey PFM.
+
+    Notes
+    -----
+    The scale's sign gives the byte order. Its amount is ignored, as the Middlebury tools do: they
+    write disparities in pixels whatever it says.
+
+    """
+    try:
+        with path.open('rb') as file:
+            width, height, byte_order = _read_header(path, file)
+            data = file.read(4 * width * height + 1)
+    except OSError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(f'{path} cannot be read: {error.strerror}') from error
+    if len(data) != 4 * width * height:
+        surplus = 'more' if len(data) > 4 * width * height else f'{len(data)}'
+        raise FileError(
+            f'{path} is damaged: {width}x{height} px need {4 * width * height} bytes,'
+            f' it has {surplus}'
+        )
+    values = np.frombuffer(data, byte_order + 'f4').reshape(height, width)[::-1]
+    return np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[int, int, str]:
+    """Return width, height and byte order (``<`` or ``>``)."""
+    kind = file.readline(_LINE_LIMIT).strip()
+    if kind == b'PF':
+        raise FileError(f'{path} has three channels (PF); a disparity map has one (Pf)')
+    try:
+        if kind != b'Pf':
+            raise ValueError
+        width, height = map(int, file.readline(_LINE_LIMIT).split())
+        scale = float(file.readline(_LINE_LIMIT))
+        if width <= 0 or height <= 0 or not abs(scale) > 0:
+            raise ValueError
+    except ValueError:
+        raise FileError(
+            f'{path} is no PFM file: expected the lines "Pf", "WIDTH HEIGHT" and a scale'
+        ) from None
+    return width, height, '<' if scale < 0 else '>'

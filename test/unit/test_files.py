@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files are complete or absent."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from binocular_recon.errors import FileError
+from binocular_recon.io.files import complete_file, make_folder, write_json
+
+
+def write_half(path: Path, error: BaseException) -> None:
+    with complete_file(path) as file:
+        file.write(b'half')
+        raise error
+
+
+def test_an_interruption_keeps_the_old_file_and_leaves_no_part(tmp_path: Path) -> None:
+    path = tmp_path / 'result.bin'
+    path.write_bytes(b'old')
+    with pytest.raises(KeyboardInterrupt):
+        write_half(path, KeyboardInterrupt())
+    assert path.read_bytes() == b'old'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_says_so_and_leaves_no_part(tmp_path: Path) -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(FileError, match=r'No space left on device; free some space'):
+        write_half(tmp_path / 'result.bin', full)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+def test_a_really_full_device_is_a_file_error(tmp_path: Path) -> None:
+    (tmp_path / f'.a.json.{os.getpid()}.part').symlink_to('/dev/full')
+    with pytest.raises(FileError, match='No space left'):
+        write_json(tmp_path / 'a.json', {'x': 1})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r'none/a\.json cannot be written: No such file'):
+        write_json(tmp_path / 'none' / 'a.json', {})
+
+
+def test_a_file_where_a_folder_is_wanted(tmp_path: Path) -> None:
+    (tmp_path / 'taken').write_text('')
+    with pytest.raises(FileError, match=r'taken/out cannot be made: Not a directory'):
+        make_folder(tmp_path / 'taken' / 'out')
+
+
+def test_json_refuses_values_that_json_has_not(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match='not JSON compliant'):
+        write_json(tmp_path / 'a.json', {'x': float('nan')})
+    assert list(tmp_path.iterdir()) == []
