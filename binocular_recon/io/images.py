@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures in memory: grey levels for matching, BGR for colour."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.errors import ImageError
+
+Image = npt.NDArray[Any]
+
+# Largest value of each accepted type: white.
+_WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
+
+
+def to_grey(image: Image) -> npt.NDArray[np.float32]:
+    """Return grey levels of 255 without rounding.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, C), uint8, uint16 or float
+        Grey (C = 1), BGR or BGRA. White is 255, 65535 or 1.0.
+
+    Returns
+    -------
+    grey : (H, W) float32
+        Rec. 601 luminance; NaN where the picture has no data (a float image's NaN or infinity).
+
+    Raises
+    ------
+    ImageError
+        If the type or the number of channels is another.
+
+    """
+    channels = _check(image)
+    grey = image.reshape(image.shape[:2]) if channels == 1 else image
+    scaled: npt.NDArray[np.float32] = np.asarray(grey, np.float32) * np.float32(
+        255.0 / _WHITE[image.dtype.name]
+    )
+    if channels > 1:
+        code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
+        scaled = np.asarray(cv2.cvtColor(scaled, code))
+    if image.dtype.kind == 'f':
+        scaled[~np.isfinite(scaled)] = np.nan
+    return scaled
+
+
+def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
+    """Return a picture for the eye and for the colour of points.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, C), uint8, uint16 or float
+        As for `to_grey`.
+
+    Returns
+    -------
+    bgr : (H, W, 3) uint8
+        Black where a float image has no data; the input itself where it is such a picture.
+
+    Raises
+    ------
+    ImageError
+        If the type or the number of channels is another.
+
+    """
+    channels = _check(image)
+    if image.dtype != np.uint8:
+        levels = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        scaled = np.rint(levels * np.float32(255.0 / _WHITE[image.dtype.name]))
+        image = np.clip(scaled, 0, 255).astype(np.uint8)
+    if channels == 3:
+        return image
+    code = cv2.COLOR_GRAY2BGR if channels == 1 else cv2.COLOR_BGRA2BGR
+    bgr: npt.NDArray[np.uint8] = cv2.cvtColor(image, code)
+    return bgr
+
+
+def _check(image: Image) -> int:
+    """Return the number of channels of an accepted picture."""
+    channels = 1 if image.ndim == 2 else image.shape[-1]
+    if image.ndim not in (2, 3) or channels not in (1, 3, 4) or image.size == 0:
+        raise ImageError(
+            f'picture has shape {image.shape}; it must be (rows, columns) or (rows, columns,'
+            ' channels) with 1, 3 or 4 channels'
+        )
+    if image.dtype.name not in _WHITE:
+        raise ImageError(
+            f'picture has type {image.dtype}; convert it to one of {", ".join(_WHITE)}'
+        )
+    return channels

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image and CameraInfo messages as arrays and cameras, and back.
+
+Only attributes are read and set, so the same functions serve rclpy's messages and the dataclasses
+of rosbags. Array members keep the type that the message has (`array.array` or numpy).
+"""
+
+from __future__ import annotations
+
+import array
+import sys
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.errors import CalibrationError, ImageError
+from binocular_recon.io.images import Image
+
+
+class Picture(NamedTuple):
+    """A picture and how a message would name its pixels.
+
+    Attributes
+    ----------
+    image : (H, W) or (H, W, C) uint8, uint16 or float32
+        Grey, BGR or BGRA, whatever the order in the message.
+    encoding : str
+        The message's encoding, `bgr8` where that is a mosaic or shares colour between pixels.
+
+    """
+
+    image: Image
+    encoding: str
+
+
+class _Encoding(NamedTuple):
+    dtype: str
+    channels: int = 1
+    decode: int | None = None  # cv2.cvtColor to BGR
+    encode: int | None = None  # and back; a picture never goes back to a mosaic
+
+
+# ROS names a Bayer pattern by its first two pixels, OpenCV by the middle of the second row.
+_ENCODINGS = {
+    'mono8': _Encoding('u1'),
+    '8UC1': _Encoding('u1'),
+    'mono16': _Encoding('u2'),
+    '16UC1': _Encoding('u2'),
+    '32FC1': _Encoding('f4'),
+    'bgr8': _Encoding('u1', 3),
+    '8UC3': _Encoding('u1', 3),
+    'bgra8': _Encoding('u1', 4),
+    '8UC4': _Encoding('u1', 4),
+    'bgr16': _Encoding('u2', 3),
+    '16UC3': _Encoding('u2', 3),
+    'rgb8': _Encoding('u1', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
+    'rgba8': _Encoding('u1', 4, cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA),
+    'rgb16': _Encoding('u2', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
+    'bayer_rggb8': _Encoding('u1', 1, cv2.COLOR_BayerBG2BGR),
+    'bayer_bggr8': _Encoding('u1', 1, cv2.COLOR_BayerRG2BGR),
+    'bayer_gbrg8': _Encoding('u1', 1, cv2.COLOR_BayerGR2BGR),
+    'bayer_grbg8': _Encoding('u1', 1, cv2.COLOR_BayerGB2BGR),
+    'yuv422': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
+    'uyvy': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
+    'yuv422_yuy2': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
+    'yuyv': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
+}
+# How a decoded file is named that does not fit the encoding it was made from.
+_PLAIN = {
+    ('u1', 1): 'mono8',
+    ('u1', 3): 'bgr8',
+    ('u1', 4): 'bgra8',
+    ('u2', 1): 'mono16',
+    ('u2', 3): 'bgr16',
+}
+
+
+def stamp_ns(header: Any) -> int:
+    """Return a header's stamp in nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def read_image(message: Any, name: str = 'image') -> Picture:
+    """Decode an Image or a CompressedImage.
+
+    Parameters
+    ----------
+    message : sensor_msgs/Image or sensor_msgs/CompressedImage
+        Message with any ``step`` and byte order, or a whole JPEG or PNG file.
+    name : str
+        What errors call the picture.
+
+    Returns
+    -------
+    Picture
+        Without a copy where the message's bytes allow it.
+
+    Raises
+    ------
+    ImageError
+        If the encoding is unknown, data are missing or a file cannot be decoded.
+
+    """
+    if hasattr(message, 'format'):
+        image, encoding = _decoded_file(message, name)
+    else:
+        image, encoding = image_samples(message, name), message.encoding
+        code = _ENCODINGS[encoding].decode
+        if code is not None:
+            image = cv2.cvtColor(image, code)
+    if _ENCODINGS[encoding].decode is not None and _ENCODINGS[encoding].encode is None:
+        encoding = 'bgr8'
+    return Picture(image, encoding)
+
+
+def image_samples(message: Any, name: str = 'image') -> Image:
+    """Return an Image's numbers in its own order: (H, W) or (H, W, C) in native byte order.
+
+    Raises an ImageError if the encoding is unknown or data are missing.
+    """
+    encoding = _ENCODINGS.get(message.encoding)
+    if encoding is None:
+        raise ImageError(
+            f'{name} has encoding {message.encoding!r}; convert it to one of'
+            f' {", ".join(_ENCODINGS)}'
+        )
+    width, height, step = int(message.width), int(message.height), int(message.step)
+    dtype = np.dtype(encoding.dtype)
+    pixel = dtype.itemsize * encoding.channels
+    if width <= 0 or height <= 0 or (encoding.channels == 2 and width % 2):
+        raise ImageError(f'{name} cannot be {width}x{height} px as {message.encoding}')
+    if step < width * pixel:
+        raise ImageError(
+            f'{name} has a step of {step} bytes, {width} px of {message.encoding} take'
+            f' {width * pixel}; correct the driver'
+        )
+    data = np.frombuffer(message.data, np.uint8)
+    if data.size < step * height:
+        raise ImageError(
+            f'{name} holds {data.size} bytes, step x height is {step} x {height} ='
+            f' {step * height}; it was cut off'
+        )
+    shape: tuple[int, ...] = (height, width)
+    strides: tuple[int, ...] = (step, pixel)
+    if encoding.channels > 1:
+        shape, strides = (*shape, encoding.channels), (*strides, dtype.itemsize)
+    ordered = dtype.newbyteorder('>' if message.is_bigendian else '<')
+    samples: Image = np.ndarray(shape, ordered, data, 0, strides)
+    return np.ascontiguousarray(samples, dtype)
+
+
+def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
+    """Fill an Image message.
+
+    Parameters
+    ----------
+    message : sensor_msgs/Image
+        Message to fill.
+    image : (H, W) or (H, W, C)
+        Grey, BGR or BGRA, as `read_image` returns it.
+    encoding : str
+        Encoding of the message; a mosaic or shared colour is not accepted.
+    header : std_msgs/Header
+        Header of the message.
+
+    Raises
+    ------
+    ImageError
+        If the picture cannot be written in this encoding.
+
+    """
+    spec = _ENCODINGS.get(encoding, _Encoding('', 0))
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if (image.dtype.str[1:], channels) != spec[:2] or (spec.decode and spec.encode is None):
+        raise ImageError(
+            f'picture of {image.dtype} with {channels} channels cannot be written as {encoding!r}'
+        )
+    if spec.encode is not None:
+        image = cv2.cvtColor(image, spec.encode)
+    message.header = header
+    message.height, message.width = image.shape[:2]
+    message.encoding = encoding
+    message.is_bigendian = int(sys.byteorder == 'big')
+    message.step = message.width * channels * image.itemsize
+    assign_array(message, 'data', image)
+
+
+def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
+    """Set an array member in one copy of bytes, as the array type that the message has.
+
+    rclpy copies a numpy array element by element: a second for a picture, against milliseconds.
+    """
+    present = getattr(message, member)
+    if isinstance(present, array.array):
+        block = array.array(present.typecode)
+        block.frombytes(np.ascontiguousarray(values).data.cast('B'))
+        setattr(message, member, block)
+    else:
+        flat = np.ascontiguousarray(values).reshape(-1)
+        setattr(message, member, flat.view(present.dtype))
+
+
+def camera_from_message(info: Any, name: str = 'camera') -> Camera:
+    """Return the camera of a CameraInfo (ROS 2's ``k`` or ROS 1's ``K``).
+
+    Binning and region of interest are applied: the camera is that of the picture as sent.
+
+    Raises
+    ------
+    CalibrationError
+        If the camera is not calibrated or contradicts itself; it begins with ``name``.
+
+    """
+    K, D, R, P = (
+        np.array(getattr(info, key) if hasattr(info, key) else getattr(info, key.upper()), float)
+        for key in 'kdrp'
+    )
+    roi = info.roi
+    binning = np.array([max(1, info.binning_x), max(1, info.binning_y)])
+    offset = np.array([roi.x_offset, roi.y_offset])
+    size = np.array([roi.width or info.width, roi.height or info.height]) // binning
+    if K.size == 9 and P.size == 12:
+        K, P = K.reshape(3, 3), P.reshape(3, 4)
+        for matrix in (K, P):
+            matrix[:2, 2] -= offset
+            matrix[:2] /= binning[:, None]
+    try:
+        return Camera(int(size[0]), int(size[1]), K, D, R, P, info.distortion_model)
+    except CalibrationError as error:
+        raise CalibrationError(f'{name}: {error}') from error
+
+
+def rig_from_messages(left: Any, right: Any) -> StereoRig:
+    """Return the rig of two CameraInfos; raises a CalibrationError that names the camera."""
+    return StereoRig(
+        camera_from_message(left, 'left camera'), camera_from_message(right, 'right camera')
+    )
+
+
+def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
+    """Fill a CameraInfo message with ``camera``; binning and region of interest stay zero."""
+    message.header = header
+    message.width, message.height = camera.size
+    message.distortion_model = camera.distortion_model
+    for member, values in (('d', camera.D), ('k', camera.K), ('r', camera.R), ('p', camera.P)):
+        assign_array(message, member, np.asarray(values, np.float64).reshape(-1))
+
+
+def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
+    """Return the picture of a CompressedImage as BGR, and its encoding."""
+    # image_transport writes 'ENCODING; CODEC compressed ORDER', older senders just 'CODEC'
+    encoding, _, codec = str(message.format).partition(';')
+    data = np.frombuffer(message.data, np.uint8)
+    if not _is_whole(data.tobytes()):
+        raise ImageError(
+            f'{name} is not a whole file: {data.size} bytes of {message.format!r} without the end'
+            " mark; raise the link's reliability"
+        )
+    image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ImageError(
+            f'{name} cannot be decoded: {data.size} bytes of {message.format!r}; send JPEG or PNG'
+        )
+    if 'compressed rgb' in codec:  # the file was written with red and blue swapped
+        image = cv2.cvtColor(
+            image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        )
+    kind = (image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2])
+    spec = _ENCODINGS.get(encoding)
+    if spec is None or spec[:2] != kind:
+        if kind not in _PLAIN:
+            raise ImageError(f'{name} is a file of type {kind[0]} with {kind[1]} channels')
+        return image, _PLAIN[kind]
+    if spec.decode is not None and spec.encode is None:
+        return cv2.cvtColor(image, spec.decode), 'bgr8'
+    return image, encoding
+
+
+def _is_whole(data: bytes) -> bool:
+    """Tell whether a JPEG or PNG file has its end; other files are left to their decoder."""
+    if data.startswith(b'\x89PNG'):
+        return data.rfind(b'IEND\xaeB`\x82') > 0
+    if not data.startswith(b'\xff\xd8'):
+        return True
+    position = 2
+    # step over the segments (a thumbnail in one of them has an end of its own) to the first scan
+    while (
+        data[position : position + 1] == b'\xff' and data[position + 1 : position + 2] != b'\xda'
+    ):
+        position += 2 + int.from_bytes(data[position + 2 : position + 4], 'big')
+    return data.find(b'\xff\xd9', position) > 0
