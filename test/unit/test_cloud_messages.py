@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import array
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from binocular_recon.io.cloud_messages import fill_cloud
+from binocular_recon.stereo.triangulation import Cloud
+
+
+@pytest.mark.parametrize(
+    ('colour', 'padding', 'step', 'offsets'),
+    [
+        (True, True, 32, {'x': 0, 'y': 4, 'z': 8, 'rgb': 16, 'sigma_z': 20}),
+        (True, False, 20, {'x': 0, 'y': 4, 'z': 8, 'rgb': 12, 'sigma_z': 16}),
+        (False, True, 16, {'x': 0, 'y': 4, 'z': 8, 'sigma_z': 12}),
+        (False, False, 16, {'x': 0, 'y': 4, 'z': 8, 'sigma_z': 12}),
+    ],
+)
+def test_organised_cloud(colour: bool, padding: bool, step: int, offsets: dict[str, int]) -> None:
+    generator = np.random.default_rng(4)
+    points = generator.normal(size=(3, 5, 3)).astype(np.float32)
+    sigma = generator.random((3, 5)).astype(np.float32)
+    bgr = generator.integers(0, 256, (3, 5, 3)).astype(np.uint8)
+    header = SimpleNamespace(frame_id='left')
+    message = SimpleNamespace(data=array.array('B'))
+    cloud = Cloud(points, sigma)
+    fill_cloud(
+        message, cloud, header, SimpleNamespace, colour=bgr if colour else None, padding=padding
+    )
+    assert (message.height, message.width) == (3, 5) and message.header is header
+    assert (message.point_step, message.row_step) == (step, 5 * step)
+    assert message.is_dense and not message.is_bigendian
+    assert {field.name: field.offset for field in message.fields} == offsets
+    assert {(field.datatype, field.count) for field in message.fields} == {(7, 1)}
+    # read by name, as any consumer does
+    names = list(offsets)
+    formats = ['<u4' if name == 'rgb' else '<f4' for name in names]
+    layout = np.dtype(
+        {'names': names, 'formats': formats, 'offsets': list(offsets.values()), 'itemsize': step}
+    )
+    read = np.frombuffer(message.data, layout).reshape(3, 5)
+    for axis, name in enumerate('xyz'):
+        np.testing.assert_array_equal(read[name], points[..., axis])
+    np.testing.assert_array_equal(read['sigma_z'], sigma)
+    if colour:
+        red = read['rgb'] >> 16 & 255
+        np.testing.assert_array_equal(red, bgr[..., 2])
+        np.testing.assert_array_equal(read['rgb'] & 255, bgr[..., 0])
+    points[1, 1] = np.nan
+    fill_cloud(message, cloud, header, SimpleNamespace)
+    assert message.is_dense is False
