@@ -104,7 +104,7 @@ class RodBoard:
                 f'marks must increase from the foot up, got {marks.tolist()}; sort them and'
                 ' remove repeated ones'
             )
-        if not 0 < marks[0] or not marks[-1] <= LONGEST_ROD_M:
+        if not marks[0] > 0 or not marks[-1] <= LONGEST_ROD_M:
             raise CalibrationError(
                 f'marks must be heights above the foot within 0..{LONGEST_ROD_M:g} m, got'
                 f' {marks[0]:g}..{marks[-1]:g}; are they in metres?'
@@ -142,7 +142,7 @@ class RodBoard:
         return self.marks_m.size
 
     def world_points(self) -> FloatArray:
-        """Return the marks on the axes of exactly placed rods: (R, M, 3) float64, board frame, m."""
+        """Return the marks on the axes of exactly placed rods: (R, M, 3), board frame, m."""
         points = np.empty((self.count, self.marks_per_rod, 3))
         points[..., 0] = self.rods_xz_m[:, None, 0]
         points[..., 1] = self.marks_m

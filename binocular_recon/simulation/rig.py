@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.simulation._ray_kernels import rays_of_pixels
 
 # Mean row difference of the marks at 5-16 m: 5.5 px (2.3 px without).
 TABLE_1_PITCH_RAD = -0.0027
@@ -81,6 +82,12 @@ class View:
         centre: FloatArray = -self.R.T @ self.T
         return centre
 
+    @property
+    def numbers(self) -> FloatArray:
+        """The camera for the kernels: fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,) float64."""
+        K, D = self.camera.K, self.camera.D
+        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D, *np.zeros(5 - D.size)])
+
     def project(self, points_xyz: FloatArray) -> FloatArray:
         """Project points (..., 3) of the reference frame to raw pixels (..., 2).
 
@@ -97,11 +104,9 @@ class View:
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """Return directions (..., 3) in the reference frame, of camera depth 1, of raw pixels."""
-        pixels = np.asarray(pixels, np.float64)
-        plane = cv2.undistortPointsIter(
-            pixels.reshape(-1, 1, 2), self.camera.K, self.camera.D, np.eye(3), np.eye(3),
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12),
-        ).reshape(pixels.shape)  # fmt: skip
+        pixels = np.ascontiguousarray(pixels, np.float64)
+        plane = np.empty_like(pixels)
+        rays_of_pixels(pixels.reshape(-1, 2), self.numbers, plane.reshape(-1, 2))
         rays: FloatArray = np.concatenate([plane, np.ones_like(plane[..., :1])], -1) @ self.R
         return rays
 

@@ -74,6 +74,28 @@ class PlacedBoard:
         }
 
 
+def paper_board(placement_m: float = 0.005) -> RodBoard:
+    """Return the paper's board, 5 rods of 6 marks, standing as exactly as ``placement_m``."""
+    return RodBoard.from_mapping(
+        {
+            'rods': [{'x': 0.6 * i} for i in range(5)],
+            'marks': [0.3, 0.6, 0.9, 1.2, 1.5, 1.8],
+            'rod_diameter': 0.04,
+            'placement_sigma': placement_m,
+        }
+    )
+
+
+def with_placement(board: RodBoard, placement_m: float) -> RodBoard:
+    """Return the board with other placement, height (2 x) and tilt (per metre) sigmas."""
+    changes = {
+        'placement_sigma': placement_m,
+        'height_sigma': 2 * placement_m,
+        'tilt_sigma': placement_m,
+    }
+    return RodBoard.from_mapping({**board.to_mapping(), **changes})
+
+
 def place_board(
     board: RodBoard,
     rotation_vector: FloatArray,
@@ -162,12 +184,14 @@ def draw_board(
         if cut and not seen.all() and seen.mean() > 0.6 and (per_rod >= 3).any():
             return placed
     raise CalibrationError(
-        f'a board {np.ptp(board.rods_xz_m[:, 0]):g} m wide and {board.marks_m[-1]:g} m high does not'
-        f' fit into both pictures at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or more depth'
+        f'a board {np.ptp(board.rods_xz_m[:, 0]):g} m wide and {board.marks_m[-1]:g} m high does'
+        f' not fit into both pictures at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or'
+        ' more depth'
     )
 
 
 def inside(pixels: FloatArray, size: tuple[int, int], margin_px: float) -> npt.NDArray[np.bool_]:
     """Return which pixels (..., 2) lie at least ``margin_px`` inside a picture of ``size``."""
     limit = np.array(size) - 1 - margin_px
-    return np.all((pixels >= margin_px) & (pixels <= limit), axis=-1)
+    within: npt.NDArray[np.bool_] = np.all((pixels >= margin_px) & (pixels <= limit), axis=-1)
+    return within

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``simulate rods|scene``: pictures of rods, or a survey scene as a bag, with ground truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from binocular_recon.calibration.rods import load_rods, save_rods
+from binocular_recon.errors import FileError
+from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.simulation.capture import (
+    CaptureOptions,
+    SimulatedCapture,
+    mixed_options,
+    simulate_capture,
+)
+from binocular_recon.simulation.clutter import ColorImage
+from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
+from binocular_recon.simulation.rods import paper_board, with_placement
+
+PHOTOGRAPH_SUFFIXES = {'.jpg', '.jpeg', '.png', '.tif', '.tiff', '.bmp'}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``simulate``."""
+    kinds = parser.add_subparsers(dest='kind', required=True, metavar='rods|scene')
+    rods = kinds.add_parser('rods', help='pairs of pictures of rods over clutter')
+    _add_common(rods)
+    rods.add_argument('--rods', type=Path, help='rods.yaml; by default 5 rods of 6 marks')
+    rods.add_argument(
+        '--boards', type=int, default=11, help='number of boards (default %(default)s)'
+    )
+    rods.add_argument(
+        '--placement', type=float, help='placement error, m; by default that of --rods'
+    )
+    rods.add_argument(
+        '--backgrounds', type=Path, help='folder of photographs to stand behind half of the boards'
+    )
+    rods.add_argument(
+        '--clean',
+        action='store_true',
+        help='nothing hidden, cut by the frame or tilted over 10 deg',
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write what was asked for."""
+    {'rods': _rods}[args.kind](args)
+
+
+def load_photographs(folder: Path) -> tuple[ColorImage, ...]:
+    """Read every picture of a folder as (H, W, 3) uint8.
+
+    Raises
+    ------
+    FileError
+        If the folder holds no readable picture.
+
+    """
+    paths = sorted(p for p in folder.glob('*') if p.suffix.lower() in PHOTOGRAPH_SUFFIXES)
+    photographs = tuple(p for p in (cv2.imread(str(path)) for path in paths) if p is not None)
+    if not photographs:
+        raise FileError(f'{folder} holds no picture; give a folder with .jpg or .png files')
+    return photographs
+
+
+def write_image(path: Path, image: ColorImage) -> None:
+    """Write a picture in the format of its suffix, whole or not at all.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+
+    """
+    data = cv2.imencode(path.suffix, image)[1]
+    with complete_file(path) as file:
+        file.write(data.tobytes())
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--output', type=Path, required=True, help='folder to write to')
+    parser.add_argument('--seed', type=int, default=0, help='other seed, other data (default 0)')
+
+
+def _rods(args: argparse.Namespace) -> None:
+    board = load_rods(args.rods) if args.rods else paper_board()
+    if args.placement is not None:
+        board = with_placement(board, args.placement)
+    photographs = load_photographs(args.backgrounds) if args.backgrounds else ()
+    rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
+    make_folder(args.output)
+    boards: list[dict[str, Any]] = []
+    for index in range(args.boards):
+        # a board depends on its own seed only, not on how many were asked for
+        rng = np.random.default_rng([args.seed, index])
+        options = CaptureOptions() if args.clean else mixed_options(rng, photographs=photographs)
+        capture = simulate_capture(board, rig, rng, options)
+        write_image(args.output / f'left_{index:04d}.png', capture.left)
+        write_image(args.output / f'right_{index:04d}.png', capture.right)
+        boards.append({'name': f'{index:04d}', **_truth(capture)})
+        print(f'board {index + 1} of {args.boards}', flush=True)
+    save_rods(board, args.output / 'rods.yaml')
+    write_json(args.output / 'truth.json', {'rig': rig.to_mapping(), 'boards': boards})
+
+
+def _truth(capture: SimulatedCapture) -> dict[str, Any]:
+    return {
+        **capture.placed.to_mapping(),
+        'left_px': capture.left_px.tolist(),
+        'right_px': capture.right_px.tolist(),
+        'left_visible': capture.left_visible.tolist(),
+        'right_visible': capture.right_visible.tolist(),
+    }
