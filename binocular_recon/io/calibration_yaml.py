@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera files in the format of ROS's camera_calibration_parsers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.io.files import complete_file
+
+# K, D, R and P
+_MATRICES = (
+    'camera_matrix',
+    'distortion_coefficients',
+    'rectification_matrix',
+    'projection_matrix',
+)
+
+
+def read_camera(path: Path) -> Camera:
+    """Read a camera file.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    CalibrationError
+        If it is not a camera file or its camera is not calibrated; begins with the file's name.
+
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, 'strerror', None) or error
+        raise FileError(f'{path} cannot be read: {reason}; give a camera file') from error
+    except yaml.YAMLError as error:
+        raise CalibrationError(f'{path} is not a camera file: {error}') from error
+    try:
+        # numbers such as 1e-05 are text to PyYAML
+        matrices = [np.array(content[name]['data'], np.float64) for name in _MATRICES]
+        size = int(content['image_width']), int(content['image_height'])
+        model = str(content['distortion_model'])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(
+            f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r}'
+        ) from error
+    try:
+        return Camera(*size, *matrices, distortion_model=model)
+    except CalibrationError as error:
+        raise CalibrationError(f'{path}: {error}') from error
+
+
+def read_rig(folder: Path) -> StereoRig:
+    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as of `read_camera`."""
+    return StereoRig(read_camera(folder / 'left.yaml'), read_camera(folder / 'right.yaml'))
+
+
+def write_camera(path: Path, camera: Camera, name: str) -> None:
+    """Write a camera file in full precision; raises a FileError if it cannot be written.
+
+    Parameters
+    ----------
+    path : Path
+        File; an old one stays as it is until the new one is complete.
+    camera : Camera
+        Calibrated camera.
+    name : str
+        Name of the camera, which its driver compares.
+
+    """
+    content = {
+        'image_width': camera.width,
+        'image_height': camera.height,
+        'camera_name': name,
+        'camera_matrix': _matrix(camera.K),
+        'distortion_model': camera.distortion_model,
+        'distortion_coefficients': _matrix(camera.D[None]),
+        'rectification_matrix': _matrix(camera.R),
+        'projection_matrix': _matrix(camera.P),
+    }
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000)
+    with complete_file(path) as file:
+        file.write(text.encode())
+
+
+def write_rig(folder: Path, rig: StereoRig, names: tuple[str, str] = ('left', 'right')) -> None:
+    """Write ``left.yaml`` and ``right.yaml`` to ``folder``, which must exist."""
+    for side, camera, name in zip(('left', 'right'), (rig.left, rig.right), names, strict=True):
+        write_camera(folder / f'{side}.yaml', camera, name)
+
+
+def _matrix(values: FloatArray) -> dict[str, Any]:
+    rows, columns = values.shape
+    return {'rows': rows, 'cols': columns, 'data': [float(value) for value in values.ravel()]}
