@@ -42,7 +42,7 @@ def read_camera(path: Path) -> Camera:
         raise CalibrationError(f'{path} is not a camera file: {error}') from error
     try:
         # numbers such as 1e-05 are text to PyYAML
-        matrices = [np.array(content[name]['data'], np.float64) for name in _MATRICES]
+        K, D, R, P = (np.array(content[name]['data'], np.float64) for name in _MATRICES)
         size = int(content['image_width']), int(content['image_height'])
         model = str(content['distortion_model'])
     except (KeyError, TypeError, ValueError) as error:
@@ -50,7 +50,7 @@ def read_camera(path: Path) -> Camera:
             f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r}'
         ) from error
     try:
-        return Camera(*size, *matrices, distortion_model=model)
+        return Camera(*size, K, D, R, P, model)
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error}') from error
 
