@@ -124,6 +124,7 @@ class MatchConfig(Options):
         minimum=-1.0,
         maximum=128.0,
     )
+    subpixel: bool = option(True, 'Interpolate between whole disparities')
     speckle_size: int = option(
         0, 'Smaller connected regions are invalid', unit='px', minimum=0, maximum=100_000
     )
@@ -231,6 +232,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'correlation_window_size': 9,
         'texture_threshold': 0.0,
         'disp12_max_diff': -1.0,
+        'subpixel': False,
         'wls_lambda': 0.35,
         'wls_alpha': 1.8,
         'wls_epsilon': 1e-4,

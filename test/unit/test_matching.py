@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Matching against reference values, a naive twin and scenes with known disparity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from binocular_recon.config import ChainConfig, MatchConfig, OptionValue
+from binocular_recon.errors import ImageError
+from binocular_recon.stereo import matching
+from binocular_recon.stereo.matching import (
+    confidence_from_sigma,
+    match,
+    ncc_scores,
+    sigma_from_confidence,
+)
+from test import naive_ncc
+
+FloatImage = npt.NDArray[np.float32]
+REFERENCE = Path(__file__).parents[1] / 'data' / 'ncc.npz'
+
+
+def config(**options: OptionValue) -> MatchConfig:
+    """Return whole-range defaults for small pictures."""
+    return ChainConfig.preset('default', **{'disparity_range': 16, **options}).match
+
+
+def texture(height: int, width: int, seed: int = 0, blur: float = 1.0) -> FloatImage:
+    """Return a random picture in whole grey levels, at least 16 within 0..255."""
+    noise = np.random.default_rng(seed).normal(size=(height, width))
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
+    levels: FloatImage = np.rint(128 + 40 * smooth / smooth.std()).clip(0, 255).astype(np.float32)
+    return levels
+
+
+def shifted_pair(
+    height: int, width: int, disparity: float, seed: int = 0
+) -> tuple[FloatImage, FloatImage]:
+    """Return a pair of constant disparity; whole ones exact, others by a Fourier shift."""
+    whole = texture(height, width + 128, seed, blur=1.5)
+    frequency = np.fft.fftfreq(whole.shape[1])
+    spectrum = np.fft.fft(whole, axis=1) * np.exp(2j * np.pi * frequency * disparity)
+    moved = np.fft.ifft(spectrum, axis=1).real.astype(np.float32)
+    return whole[:, 64:-64].copy(), moved[:, 64:-64].copy()
+
+
+def test_scores_equal_the_reference() -> None:
+    reference = np.load(REFERENCE)
+    options = config(correlation_window_size=7, texture_threshold=0.0)
+    scores = ncc_scores(
+        reference['left'].astype(np.float32), reference['right'].astype(np.float32), options
+    )
+    expected = reference['score']
+    np.testing.assert_array_equal(np.isnan(scores), np.isnan(expected))
+    assert np.nanmax(np.abs(scores - expected)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ('height', 'width', 'size', 'first', 'count', 'threshold'),
+    [
+        (12, 21, 3, 0, 9, 0.0),
+        (13, 24, 5, -7, 15, 10.0),
+        (11, 40, 9, 4, 3, 1.0),
+        (31, 33, 31, -2, 5, 0.0),
+        (9, 14, 3, 20, 4, 0.0),  # nothing in sight
+        (9, 14, 3, -30, 4, 0.0),
+    ],
+)
+@pytest.mark.parametrize('fine', [False, True])
+def test_scores_equal_the_naive_twin(
+    height: int, width: int, size: int, first: int, count: int, threshold: float, fine: bool
+) -> None:
+    left, right = texture(height, width, 1), texture(height, width, 2)
+    left[3:5, 2:6] = 255  # flat, as where saturated
+    left[7, 9], right[2, 8] = np.nan, np.nan
+    if fine:
+        left, right = (
+            left / np.float32(257) + 100,
+            right / np.float32(257) + 20,
+        )  # all 16 bits matter
+    options = config(
+        correlation_window_size=size,
+        min_disparity=first,
+        disparity_range=count,
+        texture_threshold=threshold / (257 if fine else 1),
+    )
+    steps = 257 if fine else 1
+    expected = naive_ncc.ncc(
+        np.rint(left * steps), np.rint(right * steps), size, first, count, threshold
+    )
+    scores = ncc_scores(left, right, options)
+    np.testing.assert_array_equal(np.isnan(scores), np.isnan(expected))
+    if np.isfinite(expected).any():
+        assert np.nanmax(np.abs(scores - expected)) < 2e-6
+
+
+def test_winners_equal_the_naive_twin() -> None:
+    left, right = texture(14, 40, 3), texture(14, 40, 4)
+    scores = naive_ncc.ncc(left, right, 5, 0, 13, 0.0)
+    best, back = naive_ncc.winners(scores)
+    options = ChainConfig.preset('paper', disparity_range=13, correlation_window_size=5).match
+    disparity = match(left, right, options).disparity_px
+    np.testing.assert_array_equal(disparity, np.where(best < 0, np.nan, best))
+
+    checked = match(
+        left,
+        right,
+        ChainConfig.preset(
+            'paper', disparity_range=13, correlation_window_size=5, disp12_max_diff=1.0
+        ).match,
+    ).disparity_px
+    y, x = np.nonzero(best >= 0)
+    agree = np.abs(back[y, x - best[y, x]] - best[y, x]) <= 1
+    assert 0 < agree.sum() < agree.size
+    np.testing.assert_array_equal(np.isfinite(checked[y, x]), agree)
+
+
+def test_confidence_carries_sigma() -> None:
+    sigma = np.array([0.0, 0.02, 0.25, 1.0, 8.0, np.inf, np.nan], np.float32)
+    confidence = confidence_from_sigma(sigma)
+    assert confidence.dtype == np.float32
+    np.testing.assert_allclose(confidence[[0, 2, 5, 6]], [1.0, 0.5, 0.0, 0.0])
+    back = sigma_from_confidence(confidence)
+    np.testing.assert_allclose(back[:6], sigma[:6], rtol=2e-3)
+    assert back[6] == np.inf
+
+
+@pytest.mark.parametrize('disparity', [0.0, 5.0, 9.3, -3.75])
+def test_constant_disparity_is_found_to_a_fraction_of_a_pixel(disparity: float) -> None:
+    left, right = shifted_pair(60, 100, disparity)
+    found = match(left, right, config(min_disparity=-8, disparity_range=24))
+    inside = found.disparity_px[20:40, 30:70]
+    assert np.isfinite(inside).mean() > 0.98
+    assert np.nanmedian(np.abs(inside - disparity)) < 0.05
+    assert np.all(found.confidence[np.isnan(found.disparity_px)] == 0)
+    assert np.all(found.confidence[np.isfinite(found.disparity_px)] > 0)
+
+
+@pytest.mark.parametrize(('height', 'width'), [(40, 1), (1, 40), (3, 3), (23, 57)])
+def test_any_size_works(height: int, width: int) -> None:
+    left = texture(height, width)
+    options = config(correlation_window_size=3)
+    if min(height, width) < 3:
+        with pytest.raises(ImageError, match='smaller than the correlation window'):
+            match(left, left, options)
+    else:
+        assert match(left, left, options).disparity_px.shape == (height, width)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('level', [0.0, 255.0, 77.0, np.nan])
+def test_pictures_without_texture_have_no_match(level: float) -> None:
+    blank = np.full((30, 40), level, np.float32)
+    found = match(blank, blank, config())
+    assert np.isnan(found.disparity_px).all()
+    assert not found.confidence.any()
+
+
+def test_pixels_without_data_or_saturated_are_invalid() -> None:
+    left, right = shifted_pair(50, 90, 4.0)
+    left[10:22, 40:60] = np.nan
+    left[30:44, 40:60] = 255.0
+    disparity = match(left, right, config()).disparity_px
+    assert np.isnan(disparity[10:22, 40:60]).all()
+    assert np.isnan(disparity[34:40, 44:56]).all()
+
+
+def test_errors_say_what_and_why() -> None:
+    good = texture(20, 30)
+    with pytest.raises(ImageError, match=r'left is \(20, 30\) and right \(20, 31\)'):
+        match(good, texture(20, 31), config())
+    with pytest.raises(ImageError, match='grey pictures'):
+        match(good[None], good[None], config())
+    with pytest.raises(ImageError, match=r'right has grey levels from .* to 65[0-9]*'):
+        match(good, good * 257, config())
+
+
+def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, right = shifted_pair(130, 90, 3.4)
+    many = match(left, right, config())
+    monkeypatch.setenv('OMP_NUM_THREADS', '1')
+    one = match(left, right, config())
+    np.testing.assert_array_equal(many.disparity_px, one.disparity_px)
+    np.testing.assert_array_equal(many.confidence, one.confidence)
+
+
+def test_exposure_does_not_matter() -> None:
+    left, right = shifted_pair(60, 100, 6.5)
+    plain = match(left, right, config())
+    darker = match(left, right * np.float32(0.6) + 20, config())
+    both = np.isfinite(plain.disparity_px) & np.isfinite(darker.disparity_px)
+    assert both.mean() > 0.6
+    change = np.abs(plain.disparity_px - darker.disparity_px)[both]
+    assert np.quantile(change, 0.99) < 0.02
+
+
+def test_speckles_are_removed() -> None:
+    disparity = np.full((40, 60), 6.25, np.float32)
+    disparity[5:10, 5:10] = 12.0
+    disparity[20:32, 20:32] = 8.0
+    disparity[20:32, 40:] = np.nan
+    expected = disparity.copy()
+    expected[5:10, 5:10] = np.nan
+    matching._drop_speckles(disparity, config(speckle_size=60))
+    np.testing.assert_array_equal(disparity, expected)
+
+
+def test_step_is_one_pixel_without_subpixel() -> None:
+    assert matching.disparity_step_px(config()) == matching.SUBPIXEL_STEP_PX
+    assert matching.disparity_step_px(config(subpixel=False)) == 1.0
