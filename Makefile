@@ -1,24 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
+# `make` or `make help` lists the targets. Each brings the environments it uses up to date first.
+
+# CPython 3.10 to 3.13. Where it is given, environments of another one are made again.
 PYTHON ?= python3
-VENV := .venv
-PIP := -m pip --disable-pip-version-check install --quiet --quiet
+INSTALL := $(PYTHON) requirements/install.py $(if $(filter file,$(origin PYTHON)),,--exact)
+RUN := .venv/bin/python
+PYTEST := $(RUN) -m pytest -q
 
-.PHONY: setup
-setup: $(VENV)/.dev
+# An environment finds the libraries of its own ROS, not of one that make was called from.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
 
-$(VENV)/.created:
-	$(PYTHON) -m venv --clear $(VENV)
-	touch $@
+.NOTPARALLEL:
+.PHONY: help runtime setup demo test lint format unit kernels jazzy colcon evaluate benchmark \
+        lock clean distclean
 
-$(VENV)/.runtime: $(VENV)/.created requirements/runtime.txt setup.py setup.cfg
-	$(VENV)/bin/python $(PIP) --no-deps -r requirements/runtime.txt
-	$(VENV)/bin/python $(PIP) --no-deps --no-build-isolation -e .
-	touch $@
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
+	@echo 'PYTHON=python3.12 selects the interpreter (CPython 3.10 to 3.13).'
 
-$(VENV)/.ros: $(VENV)/.runtime requirements/ros-kilted.txt
-	$(VENV)/bin/python $(PIP) --no-deps -r requirements/ros-kilted.txt
-	touch $@
+setup: ## .venv with ROS 2, this package and the developers' tools
+	@$(INSTALL) .venv runtime ros-kilted test dev
 
-$(VENV)/.dev: $(VENV)/.ros requirements/dev.txt
-	$(VENV)/bin/python $(PIP) --no-deps -r requirements/dev.txt
-	touch $@
+runtime:
+	@$(INSTALL) .venv runtime
+
+demo: runtime ## the whole chain on the recorded bag; writes out/demo/
+	@$(RUN) -m binocular_recon demo --output out/demo
+
+# The closing line is that of the whole suite; it says what was not run.
+test: lint kernels jazzy colcon ## everything that CI runs
+	$(PYTEST)
+
+lint: setup ## format, lint rules and types
+	.venv/bin/ruff format --check
+	.venv/bin/ruff check
+	.venv/bin/mypy
+
+format: setup ## format the code and mend what the linter can
+	.venv/bin/ruff format
+	.venv/bin/ruff check --fix
+
+unit: setup ## unit tests only
+	$(PYTEST) test/unit
+
+kernels: setup ## kernels against their naive twins, not compiled
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m kernel -W ignore::RuntimeWarning test/unit
+
+ifdef ROS_DISTRO
+jazzy:
+	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
+else
+jazzy: ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
+	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
+	.venv-jazzy/bin/python -m pytest -q test/unit test/system
+endif
+
+colcon: setup ## build, install and test as a ROS workspace does
+	@$(INSTALL) .venv-colcon colcon
+	.ci/colcon
+
+# OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
+evaluate: ## accuracy on scenes with ground truth against OpenCV; SCENES=folder
+	@$(INSTALL) .venv-contrib contrib
+	@.venv-contrib/bin/python -m binocular_recon evaluate $(SCENES) --output out
+
+benchmark: ## speed of each stage against its peer
+	@$(INSTALL) .venv-contrib contrib
+	@.venv-contrib/bin/python -m binocular_recon benchmark --output out
+
+lock: ## resolve requirements/*.txt again; needs python3.10 to python3.13
+	@$(PYTHON) requirements/lock.py python3.10 python3.11 python3.12 python3.13
+
+clean: ## what was built or computed; environments stay
+	rm -rf build dist install log out *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	find binocular_recon test requirements -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## environments too
+	rm -rf .venv .venv-* .venv*.lock

@@ -19,15 +19,16 @@ from pathlib import Path
 FOLDER = Path(__file__).resolve().parent
 PROJECT = 'binocular-recon'
 
-# Lock file -> what it adds to the lock files it stands on, and those.
+# Lock file: what it holds, and the lock files whose versions it must agree with.
 LOCKS: dict[str, tuple[list[str], list[str]]] = {
     'runtime': (['.', 'setuptools'], []),
+    'oldest': (['.', 'setuptools', '-c', 'oldest.in'], []),
     'ros-kilted': (['-r', 'ros-kilted.in'], ['runtime']),
-    'dev': (['-r', 'test.in', '-r', 'dev.in'], ['runtime', 'ros-kilted']),
-    'jazzy': (
-        ['.', 'setuptools', '-r', 'ros-jazzy.in', '-r', 'test.in', '-c', 'oldest.in'],
-        [],
-    ),
+    'ros-jazzy': (['-r', 'ros-jazzy.in'], ['oldest']),
+    'test': (['-r', 'test.in'], ['runtime']),
+    'dev': (['-r', 'dev.in'], ['runtime', 'test']),
+    'contrib': (['.', 'setuptools', 'opencv-contrib-python-headless'], ['runtime']),
+    'colcon': (['-r', 'colcon.in'], ['runtime', 'test']),
 }
 
 Versions = dict[str, str]
@@ -44,20 +45,21 @@ def resolve(python: str, requirements: list[str]) -> Versions:
     packages = (item['metadata'] for item in report['install'])
     versions = {re.sub(r'[-_.]+', '-', p['name']).lower(): p['version'] for p in packages}
     versions.pop(PROJECT, None)
+    if 'opencv-contrib-python-headless' in versions:
+        versions.pop('opencv-python-headless', None)  # both own cv2/
     return versions
 
 
 def lock(python: str) -> dict[str, Versions]:
     """Return the versions of each lock file under ``python``."""
     locked: dict[str, Versions] = {}
-    for name, (requirements, bases) in LOCKS.items():
+    for name, (requirements, others) in LOCKS.items():
         print(f'  {name}', flush=True)
-        known = {p: v for base in bases for p, v in locked[base].items()}
+        known = {p: v for other in others for p, v in locked[other].items()}
         with tempfile.TemporaryDirectory() as folder:
             constraints = Path(folder, 'known.txt')
             constraints.write_text(''.join(f'{p}=={v}\n' for p, v in known.items()))
-            versions = resolve(python, [*requirements, '-c', str(constraints)])
-        locked[name] = {p: v for p, v in versions.items() if p not in known}
+            locked[name] = resolve(python, [*requirements, '-c', str(constraints)])
     return locked
 
 
@@ -69,10 +71,10 @@ def lines(per_python: dict[str, Versions]) -> list[str]:
             pins[package, version].append(minor)
     text = []
     for (package, version), minors in sorted(pins.items()):
-        markers = ' or '.join(f'python_version == "{minor}"' for minor in minors)
-        text.append(
-            f'{package}=={version}' + (f' ; {markers}' if len(minors) < len(per_python) else '')
+        marker = (
+            f' ; python_version in "{" ".join(minors)}"' if len(minors) < len(per_python) else ''
         )
+        text.append(f'{package}=={version}{marker}')
     return text
 
 
