@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read what is left of a damaged bag file: from its start, without its index, to the damage."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import struct
+from binascii import crc32
+from collections.abc import Iterator
+from contextlib import closing
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from rosbags.rosbag1.reader import Header, RecordType, decompressors
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+from rosbags.typesys.msg import normalize_msgtype
+
+from binocular_recon.errors import BagError
+
+_MAGIC = {
+    'mcap': b'\x89MCAP0\r\n',
+    'sqlite3': b'SQLite format 3\0',
+    'ros1': b'#ROSBAG V2.0\n',
+}
+# Begins a message that the recorder compressed by itself; a CDR message begins with a zero.
+_ZSTD = b'\x28\xb5\x2f\xfd'
+_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _MCAP_DATA_END = 3, 4, 5, 6, 15
+
+
+class Scanned(NamedTuple):
+    """One message of a bag file."""
+
+    topic: str
+    msgtype: str
+    definition: str
+    stamp_ns: int
+    data: bytes
+
+
+def kind_of(path: Path) -> str:
+    """Return ``mcap``, ``sqlite3`` or ``ros1`` by the first bytes of a file.
+
+    Raises a BagError if it is none of them or cannot be read.
+    """
+    try:
+        with path.open('rb') as file:
+            head = file.read(16)
+    except OSError as error:
+        raise BagError(f'{path} cannot be read: {error.strerror}') from error
+    for kind, magic in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    raise BagError(
+        f'{path} is no bag: it begins with {head[:8]!r}; give a .mcap, .db3 or .bag file or the'
+        ' folder that was recorded'
+    )
+
+
+def scan(path: Path) -> Iterator[Scanned]:
+    """Yield the messages of a bag file in the order of the file.
+
+    Parameters
+    ----------
+    path : Path
+        MCAP, SQLite or ROS 1 file.
+
+    Yields
+    ------
+    message : Scanned
+        Until the damage, where the decoder's error is raised, of whatever kind.
+
+    Raises
+    ------
+    BagError
+        If it is no bag or ends inside a record.
+
+    """
+    kind = kind_of(path)
+    if kind == 'sqlite3':
+        messages = _scan_sqlite(path)
+    else:
+        messages = _scan_mcap(path) if kind == 'mcap' else _scan_ros1(path)
+    for message in messages:
+        if kind != 'ros1' and message.data.startswith(_ZSTD):
+            message = message._replace(data=DECOMPRESSORS['zstd'](message.data, 0))
+        yield message
+
+
+def _scan_sqlite(path: Path) -> Iterator[Scanned]:
+    with closing(sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)) as database:
+        # Opens a file that is shorter than its first page says.
+        database.execute('PRAGMA writable_schema=ON')
+        topics = {row[0]: row[1:] for row in database.execute('SELECT id, name, type FROM topics')}
+        # By rowid, the order of the pages; the index on the timestamps may be lost.
+        for topic_id, stamp_ns, data in database.execute(
+            'SELECT topic_id, timestamp, data FROM messages ORDER BY id'
+        ):
+            name, msgtype = topics[topic_id]
+            yield Scanned(name, msgtype, '', stamp_ns, data)
+
+
+def _scan_mcap(path: Path) -> Iterator[Scanned]:
+    with path.open('rb') as file:
+        file.seek(len(_MAGIC['mcap']))
+        yield from _mcap_messages(file, {}, {})
+
+
+def _mcap_messages(
+    file: BinaryIO, schemas: dict[int, str], channels: dict[int, tuple[str, str]]
+) -> Iterator[Scanned]:
+    """Yield messages of a file and, called by itself, of a chunk."""
+    while head := file.read(9):
+        kind, size = struct.unpack('<BQ', head)
+        content = _read(file, size)
+        if kind == _MCAP_DATA_END:
+            return
+        if kind == _MCAP_SCHEMA:
+            (key,) = struct.unpack_from('<H', content)
+            schemas[key] = _mcap_string(content, 2)
+        elif kind == _MCAP_CHANNEL:
+            key, schema = struct.unpack_from('<HH', content)
+            channels[key] = _mcap_string(content, 4), schemas[schema]
+        elif kind == _MCAP_CHUNK:
+            yield from _mcap_messages(BytesIO(_unpack_chunk(content)), schemas, channels)
+        elif kind == _MCAP_MESSAGE:
+            channel, _, stamp_ns = struct.unpack_from('<HIQ', content)
+            yield Scanned(*channels[channel], '', stamp_ns, content[22:])
+
+
+def _mcap_string(content: bytes, offset: int) -> str:
+    (size,) = struct.unpack_from('<I', content, offset)
+    return content[offset + 4 : offset + 4 + size].decode()
+
+
+def _unpack_chunk(content: bytes) -> bytes:
+    _, _, size, crc = struct.unpack_from('<QQQI', content)
+    compression = _mcap_string(content, 28)
+    unpacked = DECOMPRESSORS[compression](content[40 + len(compression) :], size)
+    if crc and crc32(unpacked) != crc:
+        raise BagError('a chunk does not match its checksum')
+    return unpacked
+
+
+def _scan_ros1(path: Path) -> Iterator[Scanned]:
+    with path.open('rb') as file:
+        file.seek(len(_MAGIC['ros1']))
+        yield from _ros1_messages(file, {})
+
+
+def _ros1_messages(
+    file: BinaryIO, connections: dict[int, tuple[str, str, str]]
+) -> Iterator[Scanned]:
+    """Yield messages of a file and, called by itself, of a chunk."""
+    while length := file.read(4):
+        header = _ros1_header(file, length)
+        content = _read(file, struct.unpack('<I', _read(file, 4))[0])
+        kind = header.get_uint8('op')
+        if kind == RecordType.CHUNK:
+            unpacked = decompressors[header.get_string('compression')](content)
+            yield from _ros1_messages(BytesIO(unpacked), connections)
+        elif kind == RecordType.CONNECTION:
+            fields = _ros1_header(BytesIO(content), struct.pack('<I', len(content)))
+            connections[header.get_uint32('conn')] = (
+                header.get_string('topic'),
+                str(normalize_msgtype(fields.get_string('type'))),
+                fields.get_string('message_definition'),
+            )
+        elif kind == RecordType.MSGDATA:
+            connection = connections[header.get_uint32('conn')]
+            yield Scanned(*connection, header.get_time('time'), content)
+
+
+def _ros1_header(file: BinaryIO, length: bytes) -> Header:
+    (size,) = struct.unpack('<I', length)
+    return Header.read(BytesIO(length + _read(file, size)))
+
+
+def _read(file: BinaryIO, size: int) -> bytes:
+    """Read ``size`` bytes; a damaged size must not ask for more memory than the file has."""
+    here = file.tell()
+    left = file.seek(0, os.SEEK_END) - here
+    file.seek(here)
+    if size > left:
+        raise BagError(f'it ends at byte {here + left}, inside a record')
+    return file.read(size)
