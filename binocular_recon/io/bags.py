@@ -152,7 +152,7 @@ class Bag(AbstractContextManager['Bag']):
                 yield topic, stamp_ns, convert(topic.msgtype, data)
             except Exception as error:  # noqa: BLE001 - definitions may hold anything
                 refused.add(topic)
-                self._note(f'{topic.name} is left out: {topic.msgtype} has no ROS 2 form: {error}')
+                self.note(f'{topic.name} is left out: {topic.msgtype} has no ROS 2 form: {error}')
 
     def _open(self) -> Iterator[_Source]:
         if not self.path.exists():
@@ -177,7 +177,7 @@ class Bag(AbstractContextManager['Bag']):
             try:
                 yield self._open_file(path)
             except BagError as error:  # noqa: PERF203 - one file of many
-                self._note(str(error))
+                self.note(str(error))
 
     def _open_file(self, path: Path) -> _Source:
         kind = _bag_salvage.kind_of(path)
@@ -188,9 +188,10 @@ class Bag(AbstractContextManager['Bag']):
 
     def _note_damage(self, path: Path, error: Exception) -> None:
         reason = str(error) or type(error).__name__
-        self._note(f'{path} is damaged ({reason}); what precedes the damage is used')
+        self.note(f'{path} is damaged ({reason}); what precedes the damage is used')
 
-    def _note(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
+        """Add a sentence to `damage`, once."""
         if sentence not in self.damage:
             self.damage.append(sentence)
 

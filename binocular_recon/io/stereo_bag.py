@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import BagError
+from binocular_recon.errors import BagError, CalibrationError
 from binocular_recon.io.bags import Bag, Topic, decode
 from binocular_recon.io.images import Image
 from binocular_recon.io.messages import read_image, rig_from_messages, stamp_ns
@@ -94,25 +94,34 @@ class StereoBag:
         BagError
             At the end, if no left and right picture belong together.
         CalibrationError
-            If a camera info holds no calibration.
+            If the first camera infos hold no calibration.
 
         """
         infos = self._first_infos()
-        rig = self._rig or rig_from_messages(*infos)
+        rig: StereoRig | None = self._rig or rig_from_messages(*infos)
         paired = False
         for topic, message in self._decoded([*self._images, *self._infos]):
             if topic in self._infos:
                 side = self._infos.index(topic)
                 if _calibration(message) != _calibration(infos[side]):
-                    infos[side] = message
-                    rig = rig_from_messages(*infos)
+                    infos[side], rig = message, None
                 continue
             pair = self._matcher.add(self._images.index(topic), message)
             if pair:
                 paired = True
-                yield Pair(stamp_ns(pair[0].header), rig, *pair)
+                # only now: both cameras' infos have changed
+                rig = rig or self._changed_rig(infos)
+                if rig:
+                    yield Pair(stamp_ns(pair[0].header), rig, *pair)
         if not paired:
             raise BagError(f'{self._bag.path}: {self._matcher.complaint()}')
+
+    def _changed_rig(self, infos: list[Any]) -> StereoRig | None:
+        try:
+            return rig_from_messages(*infos)
+        except CalibrationError as error:
+            self._bag.note(f'pictures are left out while the camera infos do not fit: {error}')
+            return None
 
     def _first_infos(self) -> list[Any]:
         """Return the first camera info of each side: pictures may have been recorded before."""
@@ -129,7 +138,7 @@ class StereoBag:
             try:
                 yield message.topic, decode(message.topic.msgtype, message.cdr)
             except BagError as error:  # noqa: PERF203 - one message of many
-                self._bag.damage.append(f'{message.topic.name}: {error}')
+                self._bag.note(f'{message.topic.name}: {error}')
 
 
 def _calibration(info: Any) -> tuple[Any, ...]:
