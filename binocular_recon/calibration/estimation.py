@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The adjustment with what it must find out by itself: noise of the marks, outliers, bad boards.
+
+Rounds of adjusting and judging: each mark is judged by its residual against what its board
+still lets it show (Baarda's data snooping), each board by the typical residual of its marks, and
+the noise by the residuals and their redundancy (variance components; Koch, "Parameter
+Estimation and Hypothesis Testing in Linear Models", section 3.6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from binocular_recon.calibration._linearisation import State, linearise
+from binocular_recon.calibration.bundle_adjustment import (
+    HUBER,
+    NOISE_FLOOR_PX,
+    Mask,
+    Problem,
+    minimise,
+    normal_equations,
+    weighted_rows,
+)
+from binocular_recon.camera import FloatArray
+
+# A mark farther off than this many standard deviations (of both axes together) is left out: one
+# good mark in 100,000 is.
+MARK_LIMIT = 4.8
+# A board whose typical residual is this many times that of all marks is left out.
+BOARD_LIMIT = 2.5
+# Share of a board's marks that may be left out before the whole board is.
+BOARD_MARK_LOSS = 0.35
+# Stated placement sigmas are believed unless the rods contradict them by this factor.
+PLACEMENT_LIMIT = 1.5
+_ROUNDS = 20
+# Fewer boards are not enough to judge one of them (and to calibrate, see solve.py).
+MIN_BOARDS = 3
+# median of the length of a two-dimensional standard normal vector
+_MEDIAN_LENGTH = np.sqrt(2 * np.log(2))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A finished adjustment.
+
+    Attributes
+    ----------
+    problem : Problem
+        With outliers removed, the noise found and the placement scale applied.
+    state : State
+        Calibration, boards, rods.
+    boards : (B,) int
+        Which of the given boards were used; the arrays of ``problem`` and ``state`` hold these.
+    outliers : (B, R, M, 2) bool
+        Marks of the used boards that were left out.
+    bad_boards : dict of int to str
+        Boards left out and why.
+    covariance : (n, n) float64
+        Of the free parameters of the calibration.
+
+    """
+
+    problem: Problem
+    state: State
+    boards: tuple[int, ...]
+    outliers: Mask
+    bad_boards: dict[int, str]
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How well the marks and rods fit a state.
+
+    Attributes
+    ----------
+    lengths : (B, R, M, 2) float64
+        Residual of each mark, both axes together, in the standard deviations it should have by
+        the robust noise; NaN = not found.
+    sigma_px : (2,) float64
+        Noise of u and v from the marks used (variance components).
+    robust_sigma_px : (2,) float64
+        Noise of u and v from the median residual of all marks.
+    placement_scale : float
+        Spread of the rods against the stated sigmas; 1 where they are exact.
+
+    """
+
+    lengths: FloatArray
+    sigma_px: FloatArray
+    robust_sigma_px: FloatArray
+    placement_scale: float
+
+
+def estimate(problem: Problem, state: State) -> Estimate:
+    """Adjust, leave out what does not fit, and find the noise of the marks.
+
+    Parameters
+    ----------
+    problem : Problem
+        All marks; ``sigma_px`` is a first guess.
+    state : State
+        Where to start, such as the planar calibration.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    CalibrationError
+        If the solution diverges or most boards contradict each other.
+
+    """
+    given = problem.observed_px
+    boards = np.arange(len(given))
+    bad_boards: dict[int, str] = {}
+    for _ in range(len(boards) + _ROUNDS):
+        state = minimise(problem, state)
+        fit = judge(problem, given[boards], state)
+        worst = _worst_board(fit)
+        if worst is not None and len(boards) > MIN_BOARDS:
+            bad_boards[int(boards[worst])] = _reason(fit, worst)
+            keep = np.arange(len(boards)) != worst
+            boards, state = boards[keep], state.select(keep)
+            problem = replace(problem, observed_px=given[boards], sigma_px=fit.robust_sigma_px)
+            continue
+        following = _improved(problem, given[boards], fit)
+        if _settled(problem, following):
+            break
+        problem = following
+    covariance, _ = normal_equations(problem, state).covariance()
+    return Estimate(
+        problem=problem,
+        state=state,
+        boards=tuple(boards.tolist()),
+        outliers=~problem.seen & np.isfinite(fit.lengths),
+        bad_boards=bad_boards,
+        covariance=covariance,
+    )
+
+
+def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
+    """Compare all marks given, (B, R, M, 4) px, with a state fitted to those in ``problem``."""
+    everything = replace(problem, observed_px=given_px)
+    used, seen = problem.seen, everything.seen
+    predicted, jacobians = linearise(state, problem.target)
+    residuals = everything.residuals(predicted)
+    rods, shared = weighted_rows(everything, jacobians, seen.astype(np.float64))
+    rows = np.concatenate([rods, shared], axis=-1)
+    _, joint = normal_equations(problem, state).covariance()
+    leverage = np.sum((rows @ joint) * rows, axis=-1).reshape(residuals.shape)
+    # a mark that was used pulled the state towards it, another one did not
+    variance = np.where(used[..., None], np.maximum(1 - leverage, 0.05), 1 + leverage)
+    typical = [
+        np.median(np.abs(residuals[..., axis] / np.sqrt(variance[..., axis]))[seen]) / 0.6745
+        for axis in (0, 1)
+    ]
+    robust = np.maximum(typical, NOISE_FLOOR_PX / problem.sigma_px)
+    redundancy = variance[used].sum(axis=0)
+    components = np.sqrt((residuals[used] ** 2).sum(axis=0) / redundancy)
+    lengths = np.linalg.norm(residuals / np.sqrt(variance) / robust, axis=-1)
+    return Fit(
+        lengths=np.where(seen, lengths, np.nan),
+        sigma_px=np.maximum(components * problem.sigma_px, NOISE_FLOOR_PX),
+        robust_sigma_px=robust * problem.sigma_px,
+        placement_scale=_placement_scale(problem, state, joint),
+    )
+
+
+def _placement_scale(problem: Problem, state: State, joint: FloatArray) -> float:
+    """Return the spread of the rods against the stated sigmas."""
+    free = problem.free_deviations
+    if not free.any():
+        return 1.0
+    sigmas = problem.placement_scale * problem.target.sigmas[free]
+    count = len(sigmas)
+    variances = np.einsum('brff->brf', joint[..., :count, :count]) / sigmas**2
+    # a single rod that was knocked over says nothing about the others
+    spread = np.minimum(problem.rod_residuals(state) ** 2, HUBER**2).sum()
+    redundancy = max(float((1 - variances).sum()), 1.0)
+    return float(problem.placement_scale * np.sqrt(spread / redundancy))
+
+
+def _improved(problem: Problem, given_px: FloatArray, fit: Fit) -> Problem:
+    """Return the problem with outliers left out and the noise that was found."""
+    good = np.repeat(fit.lengths <= MARK_LIMIT, 2, axis=-1)
+    first_guess = (np.maximum(fit.sigma_px, problem.sigma_px) > 1.5 * fit.robust_sigma_px).any()
+    return replace(
+        problem,
+        observed_px=np.where(good, given_px, np.nan),
+        sigma_px=fit.robust_sigma_px if first_guess else fit.sigma_px,
+        placement_scale=fit.placement_scale if fit.placement_scale > PLACEMENT_LIMIT else 1.0,
+    )
+
+
+def _settled(problem: Problem, following: Problem) -> bool:
+    return bool(
+        np.array_equal(problem.seen, following.seen)
+        and np.allclose(problem.sigma_px, following.sigma_px, rtol=0.01)
+        and np.isclose(problem.placement_scale, following.placement_scale, rtol=0.03)
+    )
+
+
+def _worst_board(fit: Fit) -> int | None:
+    """Return the board that fits least, None if all fit."""
+    flat = fit.lengths.reshape(len(fit.lengths), -1)
+    typical = np.nanmedian(flat, axis=1) / _MEDIAN_LENGTH
+    lost = np.mean(flat > MARK_LIMIT, axis=1) / np.mean(np.isfinite(flat), axis=1)
+    score = np.maximum(typical / BOARD_LIMIT, lost / BOARD_MARK_LOSS)
+    worst = int(np.argmax(score))
+    return worst if score[worst] > 1 else None
+
+
+def _reason(fit: Fit, board: int) -> str:
+    lengths = fit.lengths[board][np.isfinite(fit.lengths[board])]
+    lost = int((lengths > MARK_LIMIT).sum())
+    return (
+        f'its marks are {np.median(lengths) / _MEDIAN_LENGTH:.1f} times as far off as those of the'
+        f' other boards ({lost} of {lengths.size} beyond {MARK_LIMIT} sigma); a rod moved between'
+        ' the two pictures, or they are blurred'
+    )
