@@ -30,7 +30,8 @@ setup(
         'rosbags>=0.11,<0.12',
         'scipy>=1.11.4',
     ],
-    zip_safe=True,
+    extras_require={'test': ['pytest', 'pytest-timeout']},
+    zip_safe=False,
     entry_points={
         'console_scripts': [
             f'{node} = {PACKAGE}.nodes.{node}:main'

@@ -113,7 +113,7 @@ def steps(locks: list[str], ros: str) -> list[tuple[str, list[str]]]:
         elif not lock.startswith('ros-') or (ros_wheels_fit() and not ros):
             result.append((lock, arguments))
         elif not ros:
-            print(f'ROS 2 has no wheels for this machine ({platform.platform()}): left out')
+            print(f'ROS 2 has no wheels for this machine ({sys.platform}, {platform.machine()})')
     return result
 
 
