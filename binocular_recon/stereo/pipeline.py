@@ -80,19 +80,10 @@ class Chain:
             If the sizes or dtypes do not fit.
 
         """
-        config = self.config
         left, right = self._rectify(left, right)
-        left_grey, right_grey = to_grey(left), to_grey(right)
-        matched = match(left_grey, right_grey, config.match)  # eq. 10
-        filtered = filter_disparity(  # eq. 11-15
-            matched.disparity_px,
-            matched.confidence,
-            left_grey,
-            config.filter,
-            limits_px=config.match.limits_px,
-        )
+        matched, filtered = estimate_disparity(left, right, self.config)
         cloud = triangulate(  # eq. 16-18
-            filtered.disparity_px, filtered.sigma_px, self.rig, config.cloud
+            filtered.disparity_px, filtered.sigma_px, self.rig, self.config.cloud
         )
         return Reconstruction(left, right, matched, filtered, cloud)
 
@@ -102,3 +93,38 @@ class Chain:
         check_size(left, self.rig.left.size, 'left')
         check_size(right, self.rig.right.size, 'right')
         return left, right
+
+
+def estimate_disparity(left: Image, right: Image, config: ChainConfig) -> tuple[Match, Filtered]:
+    """Match a rectified pair and complete its disparity.
+
+    Parameters
+    ----------
+    left, right : (H, W) or (H, W, C), uint8, uint16 or float32
+        Rectified pictures of equal size; colour as BGR.
+    config : ChainConfig
+        Options of matching and filter.
+
+    Returns
+    -------
+    matched : Match
+        Disparity and confidence of each pixel that could be matched.
+    filtered : Filtered
+        Dense disparity with its standard deviation.
+
+    Raises
+    ------
+    ImageError
+        If the sizes or dtypes do not fit.
+
+    """
+    left_grey, right_grey = to_grey(left), to_grey(right)
+    matched = match(left_grey, right_grey, config.match)  # eq. 10
+    filtered = filter_disparity(  # eq. 11-15
+        matched.disparity_px,
+        matched.confidence,
+        left_grey,
+        config.filter,
+        limits_px=config.match.limits_px,
+    )
+    return matched, filtered

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands share, made from the fields of the configuration."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Callable, Collection
+from typing import Any
+
+from binocular_recon.config import PRESETS, ChainConfig, OptionValue, check_option
+from binocular_recon.errors import ConfigError
+
+
+def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:
+    """Declare ``--preset`` and a flag for every option of the chain that ``exclude`` has not."""
+    parser.add_argument(
+        '--preset',
+        choices=list(PRESETS),
+        default='default',
+        help='options of the chain that belong together (%(default)s)',
+    )
+    group = parser.add_argument_group(
+        'options of the chain', 'Each replaces the value of the preset.'
+    )
+    for spec in _options():
+        if spec.name not in exclude:
+            flag, text = f'--{spec.name.replace("_", "-")}', _help(spec)
+            if isinstance(spec.default, bool):
+                group.add_argument(
+                    flag,
+                    action=argparse.BooleanOptionalAction,
+                    default=argparse.SUPPRESS,
+                    help=text,
+                )
+            else:
+                group.add_argument(
+                    flag,
+                    type=_converter(spec),
+                    default=argparse.SUPPRESS,
+                    metavar=_metavar(spec),
+                    help=text,
+                )
+
+
+def chain_config(args: argparse.Namespace, **overrides: OptionValue) -> ChainConfig:
+    """Return the configuration that the arguments ask for; ``overrides`` win over all."""
+    given = {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
+    return ChainConfig.preset(args.preset, **{**given, **overrides})
+
+
+def positive(kind: type[int | float]) -> Callable[[str], float]:
+    """Return a converter of arguments that refuses 0 and less."""
+
+    def convert(text: str) -> float:
+        value = kind(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f'must be greater than 0, got {text}')
+        return value
+
+    convert.__name__ = 'number' if kind is float else 'whole number'  # named by argparse's errors
+    return convert
+
+
+def _options() -> list[dataclasses.Field[Any]]:
+    groups: list[Any] = [group.default_factory for group in dataclasses.fields(ChainConfig)]
+    return [spec for group in groups for spec in dataclasses.fields(group)]
+
+
+def _converter(spec: dataclasses.Field[Any]) -> Callable[[str], OptionValue]:
+    kind: Callable[[str], object] = type(spec.default)
+
+    def convert(text: str) -> OptionValue:
+        try:
+            return check_option(spec, kind(text))
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+        except ValueError:
+            raise argparse.ArgumentTypeError(f'{text!r} is no {_metavar(spec)}') from None
+
+    return convert
+
+
+def _metavar(spec: dataclasses.Field[Any]) -> str:
+    choices = spec.metadata['choices']
+    if choices:
+        return '{' + ','.join(choices) + '}'
+    return 'INTEGER' if isinstance(spec.default, int) else 'NUMBER'
+
+
+def _help(spec: dataclasses.Field[Any]) -> str:
+    meta = spec.metadata
+    facts = [meta['unit']] if meta['unit'] else []
+    if meta['minimum'] is not None and meta['maximum'] is not None:
+        facts.append(f'{meta["minimum"]:g} to {meta["maximum"]:g}')
+    presets = {name: values[spec.name] for name, values in PRESETS.items() if spec.name in values}
+    facts += [f'preset {name}: {value}' for name, value in presets.items()]
+    facts.append(f'default: {spec.default}')
+    return f'{meta["description"]} ({"; ".join(facts)})'.replace('%', '%%')

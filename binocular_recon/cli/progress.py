@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A progress bar where a person waits."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from types import TracebackType
+
+
+class ProgressBar:
+    """One line on stderr that is redrawn; nothing at all where stderr is no terminal.
+
+    Parameters
+    ----------
+    total : int
+        Number of steps.
+    unit : str
+        What a step is, in the plural.
+
+    """
+
+    def __init__(self, total: int, unit: str) -> None:
+        self._total, self._unit = max(1, total), unit
+        self._start = time.monotonic()
+        self._visible = sys.stderr.isatty()
+
+    def __enter__(self) -> ProgressBar:  # noqa: PYI034 - Self is newer than Python 3.10
+        """Draw the empty bar."""
+        self.show(0)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Take the bar away."""
+        if self._visible:
+            print(end='\r\033[K', file=sys.stderr, flush=True)
+
+    def show(self, done: int, note: str = '') -> None:
+        """Draw the bar with ``done`` steps."""
+        if not self._visible:
+            return
+        share = min(1.0, done / self._total)
+        text = f' {done} of {self._total} {self._unit}'
+        if done:
+            left_s = (time.monotonic() - self._start) / done * max(0, self._total - done)
+            text += f', {left_s:.0f} s left'
+        text += f'  {note}' if note else ''
+        columns = shutil.get_terminal_size().columns
+        width = max(0, min(40, columns - len(text) - 3))
+        bar = f'[{"#" * round(width * share):<{width}}]' if width >= 5 else ''
+        print(end=f'\r\033[K{bar}{text}'[: columns + 3], file=sys.stderr, flush=True)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder that `reconstruct` and `demo` fill."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import statistics
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.config import ChainConfig
+from binocular_recon.evaluation.timing import machine_facts
+from binocular_recon.io.colormap import heat_map
+from binocular_recon.io.files import make_folder, write_json
+from binocular_recon.io.image_files import write_image_file
+from binocular_recon.io.images import to_bgr8
+from binocular_recon.io.pfm import write_pfm
+from binocular_recon.io.ply import write_ply
+from binocular_recon.stereo.pipeline import Reconstruction
+
+
+class ResultFolder:
+    """Write each frame when it is finished and, at the end or when interrupted, the summary.
+
+    Parameters
+    ----------
+    folder : Path
+        Made with its parents where it does not exist.
+    source : dict
+        Where the frames come from; becomes part of the summary.
+
+    Attributes
+    ----------
+    frames : list of dict
+        What the summary says of each finished frame.
+    left_out : list of dict
+        Stamp and reason of each pair that could not be reconstructed.
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be made.
+
+    """
+
+    def __init__(self, folder: Path, source: dict[str, Any]) -> None:
+        make_folder(folder)
+        self.folder = folder
+        self.frames: list[dict[str, Any]] = []
+        self.left_out: list[dict[str, Any]] = []
+        self._source = source
+        self._rig: StereoRig | None = None
+
+    def add(
+        self, stamp_ns: int, rig: StereoRig, reconstruction: Reconstruction, seconds: float
+    ) -> None:
+        """Write the files of a frame; raises a FileError if they cannot be written."""
+        index = len(self.frames)
+        frame = {
+            'index': index,
+            'stamp_ns': stamp_ns,
+            'density': float(np.isfinite(reconstruction.filtered.disparity_px).mean()),
+            'depth_m': _range(reconstruction.cloud.depth_m),
+            'seconds': round(seconds, 4),
+            'points': self._write_files(f'{index:06d}', reconstruction),
+        }
+        if self._rig is None:
+            self._rig = rig
+        elif rig is not self._rig:
+            frame['calibration'] = _calibration(rig)
+        self.frames.append(frame)
+
+    def _write_files(self, stem: str, reconstruction: Reconstruction) -> int:
+        """Write all files of a frame or none; returns the number of points."""
+        disparity_px, cloud = reconstruction.filtered.disparity_px, reconstruction.cloud
+        pfm, png, ply = (
+            self.folder / f'{stem}{ending}'
+            for ending in ('_disparity.pfm', '_disparity.png', '.ply')
+        )
+        try:
+            write_pfm(pfm, disparity_px)
+            write_image_file(png, heat_map(disparity_px))
+            bgr = to_bgr8(reconstruction.left)
+            return write_ply(ply, cloud.points_xyz, cloud.sigma_z_m, bgr)
+        except BaseException:
+            for path in (pfm, png, ply):
+                path.unlink(missing_ok=True)
+            raise
+
+    def leave_out(self, stamp_ns: int, reason: Exception) -> None:
+        """Note a pair that could not be reconstructed."""
+        self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
+
+    def write_summary(self, preset: str, config: ChainConfig, **facts: Any) -> None:
+        """Write ``summary.json``; raises a FileError if it cannot be written."""
+        versions = {**machine_facts()['versions'], 'rosbags': version('rosbags')}
+        summary = {
+            'frames': self.frames,
+            'left_out': self.left_out,
+            **facts,
+            'source': self._source,
+            'preset': preset,
+            'options': dataclasses.asdict(config),
+            'calibration': _calibration(self._rig) if self._rig else None,
+            'versions': versions,
+        }
+        write_json(self.folder / 'summary.json', summary)
+
+    def sentence(self) -> str:
+        """Return what was reconstructed, for a person."""
+        if not self.frames:
+            return f'no frames in {self.folder}'
+        depths = [frame['depth_m'] for frame in self.frames if frame['depth_m']['min'] is not None]
+        low = min((depth['min'] for depth in depths), default=math.nan)
+        high = max((depth['max'] for depth in depths), default=math.nan)
+        median = statistics.median([depth['median'] for depth in depths] or [math.nan])
+        density = statistics.fmean(frame['density'] for frame in self.frames)
+        seconds = statistics.median(frame['seconds'] for frame in self.frames)
+        frames = f'{len(self.frames)} frames' if len(self.frames) > 1 else '1 frame'
+        return (
+            f'{frames} in {self.folder}: density {density:.1%}, depth {low:.2f} to {high:.2f} m'
+            f' (median {median:.2f} m), {seconds:.2f} s per frame'
+        )
+
+
+def _range(depth_m: Any) -> dict[str, float | None]:
+    values = depth_m[np.isfinite(depth_m)]
+    if values.size == 0:
+        return dict.fromkeys(('min', 'median', 'max'))
+    return {
+        'min': round(float(values.min()), 4),
+        'median': round(float(np.median(values)), 4),
+        'max': round(float(values.max()), 4),
+    }
+
+
+def _calibration(rig: StereoRig) -> dict[str, Any]:
+    return {
+        'image_size': list(rig.left.size),
+        'focal_px': rig.focal_px,
+        'baseline_m': rig.baseline_m,
+        'disparity_offset_px': rig.disparity_offset_px,
+        'left': _camera(rig.left),
+        'right': _camera(rig.right),
+    }
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    return {
+        'distortion_model': camera.distortion_model,
+        **{name: getattr(camera, name).tolist() for name in ('K', 'D', 'R', 'P')},
+    }
