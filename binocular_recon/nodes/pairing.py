@@ -103,19 +103,39 @@ class Synchronizer:
                 one.recent_ns.clear()
                 one.behind = 0
 
-    def misses_ns(self) -> dict[str, int]:
-        """Return by how much the stamps of each other input miss those of the first.
-
-        The smallest difference among the recent messages, nanoseconds, positive if the other
-        input is later.
-        """
+    def explain(self) -> str:
+        """Say why there are no sets although messages arrive: by how much their stamps miss."""
         with self._lock:
-            misses = {}
-            for name, one in self._inputs.items():
-                gaps = [b - a for a in self._leader.recent_ns for b in one.recent_ns]
-                if one is not self._leader and one.expected and gaps:
-                    misses[name] = min(gaps, key=abs)
-            return misses
+            limit_ns = float('inf') if self._tolerance_ns is None else self._tolerance_ns
+            misses_ns = {
+                one.name: miss_ns
+                for one in self._inputs.values()
+                if (miss_ns := self._miss_ns(one)) is not None and abs(miss_ns) > limit_ns
+            }
+        if not misses_ns:
+            return (
+                f'sets of {", ".join(self._inputs)} stay incomplete although stamps agree:'
+                ' messages get lost; set reliability to reliable on both sides or raise queue_size'
+            )
+        misses = ', '.join(
+            f'{name} is {abs(miss_ns) / 1e6:.3f} ms {"later" if miss_ns > 0 else "earlier"}'
+            for name, miss_ns in misses_ns.items()
+        )
+        needed_s = max(map(abs, misses_ns.values())) / 1e9
+        remedy = (
+            'raise'
+            if self._tolerance_ns
+            else 'trigger the cameras together or set approximate_sync with'
+        )
+        return (
+            f'stamps never match those of {self._leader.name}: {misses} (nearest of the recent'
+            f' ones); {remedy} approximate_sync_tolerance_seconds above {needed_s:.6f}'
+        )
+
+    def _miss_ns(self, one: _Input) -> int | None:
+        """Return the smallest difference of an expected input's stamps from the leader's."""
+        gaps_ns = [b - a for a in self._leader.recent_ns for b in one.recent_ns]
+        return min(gaps_ns, key=abs) if gaps_ns and one.expected else None
 
     def _arrive(self, one: _Input, entry: _Entry) -> None:
         step_ns = entry.stamp_ns - one.recent_ns[-1] if one.recent_ns else 0

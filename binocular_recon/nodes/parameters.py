@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -17,22 +16,11 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from binocular_recon.config import PRESETS, Options, OptionValue, check_option, option
+from binocular_recon.config import PRESETS, Options, OptionValue, check_option
 from binocular_recon.errors import ConfigError
 
 Spec = dataclasses.Field[Any]
 Group = TypeVar('Group', bound=Options)
-
-
-@dataclass(frozen=True)
-class PresetOptions(Options):
-    """Which preset gives the values that are not set explicitly."""
-
-    preset: str = option(
-        'default',
-        'Named set of values for all options that are not set explicitly',
-        choices=tuple(PRESETS),
-    )
 
 
 class Parameters:
@@ -73,7 +61,7 @@ class Parameters:
         node.add_on_set_parameters_callback(self._refuse)
         node.add_post_set_parameters_callback(self._accept)
 
-    def options(self, group: type[Group]) -> Group:
+    def of(self, group: type[Group]) -> Group:
         """Return the present values of one group."""
         values = self._values  # replaced as a whole by `_accept`, perhaps in another thread
         return group(**{spec.name: values[spec.name] for spec in _fields(group)})

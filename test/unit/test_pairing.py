@@ -198,18 +198,31 @@ def test_spread_of_a_set_is_within_the_tolerance() -> None:
 def test_by_how_much_stamps_miss() -> None:
     synchronizer = Synchronizer(('left', 'right', 'confidence'), queue_size=5)
     synchronizer.expect('confidence', expected=False)
-    assert synchronizer.misses_ns() == {}
-    generator = random.Random(7)
     for k in range(20):
-        late = round(generator.uniform(3, 4) * MS)
-        assert (
-            feed(
-                synchronizer, [Message('left', 33 * k * MS), Message('right', 33 * k * MS + late)]
-            )
-            == []
-        )
-    ((name, miss_ns),) = synchronizer.misses_ns().items()
-    assert name == 'right' and 3 * MS <= miss_ns < 3.3 * MS
+        late = 3_200_000 + 7 * k
+        messages = [Message('left', 33 * k * MS), Message('right', 33 * k * MS + late)]
+        assert feed(synchronizer, messages) == []
+    assert synchronizer.explain() == (
+        'stamps never match those of left: right is 3.200 ms later (nearest of the recent ones);'
+        ' trigger the cameras together or set approximate_sync with'
+        ' approximate_sync_tolerance_seconds above 0.003200'
+    )
+
+
+def test_by_how_much_stamps_miss_a_tolerance() -> None:
+    synchronizer = Synchronizer(('left', 'right'), queue_size=5, tolerance_ns=MS)
+    for k in range(9):
+        messages = [Message('right', (33 * k - 4) * MS), Message('left', 33 * k * MS)]
+        assert feed(synchronizer, messages) == []
+    assert 'right is 4.000 ms earlier' in synchronizer.explain()
+    assert 'raise approximate_sync_tolerance_seconds above 0.004' in synchronizer.explain()
+
+
+def test_incomplete_sets_whose_stamps_agree() -> None:
+    synchronizer = Synchronizer(NAMES[:3], queue_size=5)
+    for k in range(9):
+        feed(synchronizer, [Message(NAMES[i], k * MS) for i in range(3) if i != 1 + k % 2])
+    assert synchronizer.explain().startswith('sets of left, left_info, right stay incomplete')
 
 
 def test_optional_input() -> None:

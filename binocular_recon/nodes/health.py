@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node has done and what is wrong with it, for its log and for /diagnostics."""
+
+from __future__ import annotations
+
+import statistics
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+# A problem is repeated in the log, and remembered in the status, this long.
+_LOG_EVERY_S = 5.0
+_REMEMBERED_S = 3.0
+
+
+class _Arrivals(NamedTuple):
+    """When the last message of a topic came, and how long after the one before."""
+
+    last_s: float
+    interval_s: float = 0.0
+    seen: bool = False
+
+    def next(self, now_s: float) -> _Arrivals:
+        return _Arrivals(now_s, now_s - self.last_s if self.seen else 0.0, seen=True)
+
+
+class Health:
+    """Counts and problems of a node; any thread may report.
+
+    Parameters
+    ----------
+    logger : rclpy logger
+        Where problems are written, each kind at most every five seconds.
+    clock : callable
+        Seconds that never go back.
+
+    """
+
+    def __init__(self, logger: Any, clock: Callable[[], float] = time.monotonic) -> None:
+        self._logger = logger
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._received: Counter[str] = Counter()
+        self._published: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
+        self._arrivals: dict[str, _Arrivals] = {}
+        self._durations_s: deque[float] = deque(maxlen=30)
+        self._facts: dict[str, str] = {}
+        self._logged: dict[str, tuple[float, int]] = {}
+        self._problems: dict[bytes, tuple[float, str]] = {}
+        self._last_error = ''
+
+    def received(self, topic: str) -> None:
+        """Count a message that arrived."""
+        with self._lock:
+            self._received[topic] += 1
+            if topic in self._arrivals:
+                self._arrivals[topic] = self._arrivals[topic].next(self._clock())
+
+    def published(self, topic: str) -> None:
+        """Count a message that was sent."""
+        with self._lock:
+            self._published[topic] += 1
+
+    def dropped(self, reason: str, count: int = 1) -> None:
+        """Count what was received and not used."""
+        with self._lock:
+            self._dropped[reason] += count
+
+    def processed(self, seconds: float) -> None:
+        """Note how long a frame took."""
+        with self._lock:
+            self._durations_s.append(seconds)
+
+    def state(self, name: str, value: str) -> None:
+        """Set a line of the status, such as the calibration in use."""
+        with self._lock:
+            self._facts[name] = value
+
+    def error(self, kind: str, text: str) -> None:
+        """Report that a frame could not be used."""
+        self._report(DiagnosticStatus.ERROR, kind, text)
+
+    def warning(self, kind: str, text: str) -> None:
+        """Report what makes results worse than they could be."""
+        self._report(DiagnosticStatus.WARN, kind, text)
+
+    def expect(self, topics: list[str]) -> None:
+        """Begin to wait for messages: nothing has been silent before now."""
+        with self._lock:
+            self._arrivals = {topic: _Arrivals(self._clock()) for topic in topics}
+
+    def silent(self) -> dict[str, float]:
+        """Return the expected topics without a message, and for how many seconds.
+
+        A topic may be silent for three of its intervals, at least three seconds.
+        """
+        with self._lock:
+            now = self._clock()
+            return {
+                topic: now - arrivals.last_s
+                for topic, arrivals in self._arrivals.items()
+                if now - arrivals.last_s > 3 * max(1.0, arrivals.interval_s)
+            }
+
+    def status(
+        self, name: str, hardware: str, level: bytes, summary: str, *, dropped: Counter[str]
+    ) -> DiagnosticStatus:
+        """Return the status; recent problems raise its level and take the place of ``summary``."""
+        with self._lock:
+            now = self._clock()
+            for worse in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
+                since, text = self._problems.get(worse, (-float('inf'), ''))
+                if now - since <= _REMEMBERED_S and level in (DiagnosticStatus.OK, worse):
+                    level, summary = worse, text
+            values = {f'received {topic}': str(n) for topic, n in self._received.items()}
+            values |= {f'published {topic}': str(n) for topic, n in self._published.items()}
+            values |= {
+                f'dropped: {reason}': str(n) for reason, n in (self._dropped + dropped).items()
+            }
+            if self._durations_s:
+                median_ms = 1000 * statistics.median(self._durations_s)
+                values['processing time'] = f'{median_ms:.1f} ms'
+                values['longest processing time'] = f'{1000 * max(self._durations_s):.1f} ms'
+            values |= self._facts | {'last error': self._last_error}
+        return DiagnosticStatus(
+            level=level,
+            name=name,
+            hardware_id=hardware,
+            message=summary,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+
+    def _report(self, level: bytes, kind: str, text: str) -> None:
+        with self._lock:
+            now = self._clock()
+            self._problems[level] = (now, text)
+            if level == DiagnosticStatus.ERROR:
+                self._last_error = text
+            last, unlogged = self._logged.get(kind, (-float('inf'), 0))
+            if now - last < _LOG_EVERY_S:
+                self._logged[kind] = (last, unlogged + 1)
+                return
+            self._logged[kind] = (now, 0)
+        if unlogged:
+            text = f'{text} ({unlogged} more like this since the last time)'
+        # two places: rclpy remembers the severity of each
+        if level == DiagnosticStatus.ERROR:
+            self._logger.error(text)
+        else:
+            self._logger.warning(text)

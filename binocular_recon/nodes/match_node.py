@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rectified pictures in, measured disparities and their confidence out."""
+
+from __future__ import annotations
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, Image
+from stereo_msgs.msg import DisparityImage
+
+from binocular_recon.config import MatchConfig
+from binocular_recon.io.disparity_messages import fill_disparity
+from binocular_recon.io.images import to_grey
+from binocular_recon.io.messages import fill_image, read_image
+from binocular_recon.nodes.endpoints import Input, Output
+from binocular_recon.nodes.options import PresetOptions
+from binocular_recon.nodes.running import run_node
+from binocular_recon.nodes.stereo_node import StereoNode
+from binocular_recon.stereo.matching import FloatImage, disparity_step_px, match
+from binocular_recon.stereo.rectification import check_size
+
+# Share of white pixels above which the exposure is worth a word.
+_SATURATED_SHARE = 0.25
+
+
+class MatchNode(StereoNode):
+    """Match pairs; what cannot be matched is invalid."""
+
+    NAME = 'match_node'
+    INPUTS = (
+        Input('left/image_rect', Image, transported=True),
+        Input('right/image_rect', Image, transported=True),
+        Input('left/camera_info', CameraInfo),
+        Input('right/camera_info', CameraInfo),
+    )
+    OUTPUTS = (Output('confidence', Image), Output('disparity', DisparityImage))
+    LIVE = (PresetOptions, MatchConfig)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.prepare(_compile_kernels)
+        self.start()
+
+    def process(
+        self, left: Image, right: Image, left_info: CameraInfo, right_info: CameraInfo
+    ) -> None:
+        """Publish the disparities of one pair."""
+        rig, config = self.rig(left_info, right_info), self.options.of(MatchConfig)
+        greys = []
+        for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
+            grey = to_grey(read_image(message, f'{side} image').image)
+            check_size(grey, camera.size, side)
+            self._warn_of_faults(grey, side)
+            greys.append(grey)
+        left_grey, right_grey = greys
+        matched = match(left_grey, right_grey, config)
+        if self.wanted('confidence'):
+            confidence = Image()
+            fill_image(confidence, matched.confidence, '32FC1', left.header)
+            self.publish('confidence', confidence)
+        if self.wanted('disparity'):
+            disparity = DisparityImage()
+            fill_disparity(
+                disparity,
+                matched.disparity_px,
+                rig,
+                config.limits_px,
+                left.header,
+                step_px=disparity_step_px(config),
+            )
+            self.publish('disparity', disparity)
+
+    def _warn_of_faults(self, grey: FloatImage, side: str) -> None:
+        """Say why few pixels of a picture can be matched."""
+        missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
+        if missing > 0:
+            text = (
+                f'has no data (NaN) in {100 * missing:.1f} % of its pixels; they get no disparity'
+            )
+        elif grey.min() == grey.max():
+            text = (
+                f'is uniform (grey level {grey[0, 0]:.0f}); uncover the lens or mind the exposure'
+            )
+        elif white > _SATURATED_SHARE:
+            text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
+        else:
+            return
+        self.health.warning(f'{side} picture', f'{side} image {text}')
+
+
+def _compile_kernels() -> None:
+    noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
+    match(noise, noise, MatchConfig(disparity_range=16))
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(MatchNode)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes share: topics, pairing, work beside the executor, diagnostics, start and end."""
+
+from __future__ import annotations
+
+import functools
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.config import Options
+from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.io.messages import rig_from_messages, stamp_ns
+from binocular_recon.nodes.endpoints import Input, Output, offer, subscribe
+from binocular_recon.nodes.health import Health
+from binocular_recon.nodes.options import InputOptions
+from binocular_recon.nodes.pairing import Synchronizer
+from binocular_recon.nodes.parameters import Parameters
+from binocular_recon.nodes.worker import LatestWorker
+
+# How often a listener is looked for where the middleware does not report it.
+_POLL_S = 0.2
+# What complete sets are called in the diagnostics.
+_SETS = 'sets'
+
+
+class StereoNode(Node):
+    """Base of the nodes.
+
+    A subclass says what it takes and gives, prepares itself, calls `start`, and makes its outputs
+    in `process`, which runs in a thread of its own with the newest set of inputs.
+
+    Attributes
+    ----------
+    NAME : str
+        Node name.
+    INPUTS : sequence of Input
+        Subscribed to while somebody listens; the first leads the pairing.
+    OUTPUTS : sequence of Output
+        Made while somebody listens to them.
+    LIVE, FIXED : sequence of Options types
+        Option groups that may change while the node runs, and that may not.
+    options : Parameters
+        Their present values.
+    health : Health
+        What the node has done and what is wrong.
+
+    """
+
+    NAME: ClassVar[str]
+    INPUTS: ClassVar[Sequence[Input]]
+    OUTPUTS: ClassVar[Sequence[Output]]
+    LIVE: ClassVar[Sequence[type[Options]]]
+    FIXED: ClassVar[Sequence[type[Options]]] = (InputOptions,)
+
+    def __init__(self) -> None:
+        super().__init__(self.NAME)
+        self.options = Parameters(self, live=self.LIVE, fixed=self.FIXED)
+        self.health = Health(self.get_logger())
+        self._rig: tuple[Any, StereoRig] | None = None
+        self._worker = LatestWorker(self._work)
+
+    def prepare(self, compile_kernels: Callable[[], None]) -> None:
+        """Compile the kernels before the first frame; later starts take them from the cache."""
+        begun_s = time.monotonic()
+        compile_kernels()
+        seconds = time.monotonic() - begun_s
+        self.get_logger().info(f'kernels are ready after {seconds:.1f} s')
+
+    def start(self, inputs: Sequence[Input] | None = None) -> None:
+        """Offer the outputs; ``inputs`` replaces `INPUTS`."""
+        options = self.options.of(InputOptions)
+        self._inputs = {one.topic: one for one in inputs or self.INPUTS}
+        self._compressed = options.image_transport == 'compressed'
+        self._synchronizer = Synchronizer(
+            list(self._inputs), queue_size=options.queue_size, tolerance_ns=options.tolerance_ns
+        )
+        self._processed = self._superseded = 0
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        offered = {one.topic: offer(self, one, self.health, self._update) for one in self.OUTPUTS}
+        self._outputs = {topic: publisher for topic, (publisher, _) in offered.items()}
+        self._listening = self._subscribe()  # declares their QoS parameters at the start
+        self._stop_listening()
+        self._update()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._report, clock=steady)
+        if not all(reports for _, reports in offered.values()):
+            self.create_timer(_POLL_S, self._update, clock=steady)
+
+    def process(self, *messages: Any) -> None:
+        """Make the outputs from one message per input, None for a missing optional one."""
+        raise NotImplementedError
+
+    def wanted(self, *topics: str) -> bool:
+        """Tell whether somebody subscribes to one of the outputs."""
+        return any(self._outputs[topic].get_subscription_count() > 0 for topic in topics)
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Send an output."""
+        self._outputs[topic].publish(message)
+        self.health.published(topic)
+
+    def rig(self, left_info: Any, right_info: Any) -> StereoRig:
+        """Return the rig of two CameraInfos, made anew only when they change."""
+        key = _content(left_info), _content(right_info)
+        if self._rig is None or self._rig[0] != key:
+            self._rig = None
+            self._rig = key, rig_from_messages(left_info, right_info)
+            self.state_rig(self._rig[1])
+        return self._rig[1]
+
+    def state_rig(self, rig: StereoRig) -> None:
+        """Show the calibration in use in the diagnostics."""
+        self.health.state(
+            'calibration',
+            f'{rig.left.width}x{rig.left.height} px, f {rig.focal_px:.2f} px, baseline'
+            f' {rig.baseline_m:.4f} m, cx_left - cx_right {rig.disparity_offset_px:.2f} px',
+        )
+
+    def destroy_node(self) -> None:
+        """End the work, then the node."""
+        self._worker.close()
+        super().destroy_node()
+
+    def _subscribe(self) -> list[Any]:
+        return [
+            subscribe(
+                self,
+                one,
+                functools.partial(self._receive, one.topic),
+                self.health,
+                compressed=self._compressed,
+            )
+            for one in self._inputs.values()
+        ]
+
+    def _update(self) -> None:
+        """Subscribe while somebody listens to an output, and only then."""
+        wanted = self.wanted(*self._outputs)
+        if wanted and not self._listening:
+            self._synchronizer.clear()
+            expected = [topic for topic, one in self._inputs.items() if not one.optional]
+            self.health.expect([*expected, _SETS])
+            self._listening = self._subscribe()
+        elif not wanted:
+            self._stop_listening()
+
+    def _stop_listening(self) -> None:
+        for subscription in self._listening:
+            self.destroy_subscription(subscription)
+        self._listening = []
+
+    def _receive(self, topic: str, message: Any) -> None:
+        self.health.received(topic)
+        for one in self._inputs.values():
+            if one.optional:
+                self._synchronizer.expect(one.topic, self.count_publishers(one.topic) > 0)
+        for found in self._synchronizer.add(topic, stamp_ns(message.header), message):
+            self.health.received(_SETS)
+            if self._worker.submit(found):
+                self._superseded += 1
+                self.health.dropped('a newer set came before it was begun')
+
+    def _work(self, messages: tuple[Any, ...]) -> None:
+        """Process a set in the worker's thread; whatever is wrong with it, the next one comes."""
+        begun_s = time.monotonic()
+        try:
+            self.process(*messages)
+        except BinocularReconError as error:
+            kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
+            self.health.dropped(kind)
+            self.health.error(kind, str(error))
+        except Exception:  # noqa: BLE001 - a fault in one frame must not end the node
+            if self.context.ok():  # after a shutdown nothing can be published
+                self.health.dropped('internal error')
+                self.health.error('internal error', traceback.format_exc())
+        else:
+            self._processed += 1
+            self.health.processed(time.monotonic() - begun_s)
+
+    def _report(self) -> None:
+        self._update()
+        level, summary = self._watch()
+        name = self.get_fully_qualified_name().lstrip('/')
+        status = self.health.status(
+            f'{name}: frames', name, level, summary, dropped=self._synchronizer.dropped
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _watch(self) -> tuple[bytes, str]:
+        """Return level and summary of a healthy node, and report what keeps frames from coming."""
+        processed, self._processed = self._processed, 0
+        superseded, self._superseded = self._superseded, 0
+        if not self._listening:
+            return (
+                DiagnosticStatus.OK,
+                f'idle: nobody subscribes to {" or ".join(self._outputs)}',
+            )
+        silent = self.health.silent()
+        without_sets = silent.pop(_SETS, None)
+        if len(silent) == sum(not one.optional for one in self._inputs.values()):
+            text = f'no messages on {", ".join(silent)}; start the cameras or check the remapping'
+            self.health.warning('silent', text)
+            return DiagnosticStatus.STALE, text
+        if silent:
+            since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
+            self.health.error('silent', f'no message on {since}; check that camera and its cable')
+        elif without_sets is not None:
+            self.health.error('unpaired', self._synchronizer.explain())
+        elif superseded:
+            self.health.warning(
+                'busy', f'cannot keep up: dropped {superseded} sets for newer ones within a second'
+            )
+        return DiagnosticStatus.OK, f'{processed} frames within a second'
+
+
+def _content(info: Any) -> tuple[Any, ...]:
+    """Return what a CameraInfo says, but for its header."""
+    roi = info.roi
+    return (
+        *(getattr(info, member).tobytes() for member in 'kdrp'),
+        *(info.width, info.height, info.distortion_model, info.binning_x, info.binning_y),
+        *(roi.x_offset, roi.y_offset, roi.width, roi.height),
+    )

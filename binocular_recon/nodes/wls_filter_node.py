@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured disparities in; dense disparities, points, depth and a heat map out."""
+
+from __future__ import annotations
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from stereo_msgs.msg import DisparityImage
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.config import CloudConfig, FilterConfig
+from binocular_recon.errors import ImageError
+from binocular_recon.io.cloud_messages import fill_cloud
+from binocular_recon.io.colormap import heat_map
+from binocular_recon.io.disparity_messages import DisparityMap, fill_disparity, read_disparity
+from binocular_recon.io.images import Image as Picture
+from binocular_recon.io.images import to_bgr8, to_grey
+from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
+from binocular_recon.nodes.endpoints import Input, Output
+from binocular_recon.nodes.options import CloudMessageOptions, PresetOptions
+from binocular_recon.nodes.running import run_node
+from binocular_recon.nodes.stereo_node import StereoNode
+from binocular_recon.stereo.filtering import Filtered, filter_disparity
+from binocular_recon.stereo.matching import FloatImage
+from binocular_recon.stereo.rectification import check_size
+from binocular_recon.stereo.triangulation import Cloud, triangulate
+
+_CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
+
+
+class WlsFilterNode(StereoNode):
+    """Filter disparities, ours or stereo_image_proc's, and triangulate them."""
+
+    NAME = 'wls_filter_node'
+    INPUTS = (
+        Input('left/image_rect', Image, transported=True),
+        Input('left/camera_info', CameraInfo),
+        Input('right/camera_info', CameraInfo),
+        Input('disparity', DisparityImage),
+        Input('confidence', Image, optional=True),
+    )
+    OUTPUTS = (
+        Output('disparity_wls', DisparityImage),
+        Output('points2', PointCloud2),
+        Output('depth', Image),
+        Output('depth/camera_info', CameraInfo),
+        Output('disparity_color', Image),
+    )
+    LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.prepare(_compile_kernels)
+        self.start()
+
+    def process(
+        self,
+        left: Image,
+        left_info: CameraInfo,
+        right_info: CameraInfo,
+        disparity: DisparityImage,
+        confidence: Image | None,
+    ) -> None:
+        """Publish what somebody listens to."""
+        rig = self.rig(left_info, right_info)
+        measured = read_disparity(disparity, rig)
+        picture = read_image(left, 'left image').image
+        for image, name in ((measured.disparity_px, 'disparity'), (picture, 'left')):
+            check_size(image, rig.left.size, name)
+        filtered = filter_disparity(
+            measured.disparity_px,
+            _confidence(confidence, measured.disparity_px),
+            to_grey(picture),
+            self.options.of(FilterConfig),
+            limits_px=measured.limits_px,
+        )
+        self._publish_disparity(filtered, measured, disparity, rig, left)
+        if self.wanted(*_CLOUD_OUTPUTS):
+            config = self.options.of(CloudConfig)
+            cloud = triangulate(filtered.disparity_px, filtered.sigma_px, rig, config)
+            self._publish_cloud(cloud, picture, rig, left)
+
+    def _publish_disparity(
+        self,
+        filtered: Filtered,
+        measured: DisparityMap,
+        source: DisparityImage,
+        rig: StereoRig,
+        left: Image,
+    ) -> None:
+        if self.wanted('disparity_wls'):
+            message = DisparityImage()
+            fill_disparity(
+                message,
+                filtered.disparity_px,
+                rig,
+                measured.limits_px,
+                left.header,
+                step_px=source.delta_d,
+            )
+            self.publish('disparity_wls', message)
+        if self.wanted('disparity_color'):
+            colours = Image()
+            heat = heat_map(filtered.disparity_px, measured.limits_px)
+            fill_image(colours, heat, 'bgr8', left.header)
+            self.publish('disparity_color', colours)
+
+    def _publish_cloud(self, cloud: Cloud, picture: Picture, rig: StereoRig, left: Image) -> None:
+        if self.wanted('depth', 'depth/camera_info'):
+            info, depth = CameraInfo(), Image()
+            fill_camera_info(info, rig.left, left.header)
+            self.publish('depth/camera_info', info)
+            fill_image(depth, cloud.depth_m, '32FC1', left.header)
+            self.publish('depth', depth)
+        if self.wanted('points2'):
+            options = self.options.of(CloudMessageOptions)
+            points = PointCloud2()
+            fill_cloud(
+                points,
+                cloud,
+                left.header,
+                PointField,
+                colour=to_bgr8(picture) if options.use_color else None,
+                padding=not options.avoid_point_cloud_padding,
+            )
+            self.publish('points2', points)
+
+
+def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
+    """Return the confidence of each pixel; without a message 1 where there is a disparity."""
+    if message is None:
+        return np.isfinite(disparity_px).astype(np.float32)
+    if message.encoding != '32FC1':
+        raise ImageError(f'confidence has encoding {message.encoding!r}; it must be 32FC1')
+    return read_image(message, 'confidence').image
+
+
+def _compile_kernels() -> None:
+    generator = np.random.default_rng(0)
+    grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
+    disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)
+    ones = np.ones_like(grey)
+    for guide in ('left', 'disparity'):
+        filter_disparity(
+            disparity, ones, grey, FilterConfig(wls_guide=guide), limits_px=(0.0, 15.0)
+        )
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(WlsFilterNode)

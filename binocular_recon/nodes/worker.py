@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work beside the executor: the newest job first, never a backlog."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Job = TypeVar('Job')
+
+
+class LatestWorker(Generic[Job]):
+    """A thread that does one job at a time; while it is busy only the newest job waits.
+
+    Parameters
+    ----------
+    work : callable
+        Does a job, in the thread. It must not raise.
+
+    """
+
+    def __init__(self, work: Callable[[Job], None]) -> None:
+        self._work = work
+        self._waiting: list[Job] = []  # at most one
+        self._closed = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name='worker', daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Job) -> bool:
+        """Hand in a job; return True if it replaced one that had not begun."""
+        with self._changed:
+            replaced = bool(self._waiting)
+            self._waiting = [job]
+            self._changed.notify()
+            return replaced
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Let the present job end, begin no other."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                job = self._waiting.pop()
+            self._work(job)
+            del job  # a picture is not kept until the next one comes
