@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from binocular_recon.cli.options import add_option_flags, given_options, positive, preset_names
+from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.config import PRESETS, OptionValue
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation import peers, report, robustness, summary
@@ -17,18 +16,18 @@ from binocular_recon.evaluation.evaluate import (
     Failures,
     SceneResult,
     SceneScores,
-    evaluate_scenes,
+    evaluate_scene,
 )
 from binocular_recon.evaluation.methods import Method, match_method, opencv_method, preset_method
-from binocular_recon.evaluation.scenes import find_scenes
+from binocular_recon.evaluation.scenes import find_scenes, read_scene
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import complete_file, make_folder, write_json
 
 HOW_MEASURED = (
     'A pixel is bad if its error exceeds the limit or if it is unfilled; in the mean error an'
-    ' unfilled pixel counts as disparity 0. OpenCV gets pictures padded on the left so that it'
-    ' can fill every pixel. Times are medians of runs that took turns.'
+    ' unfilled pixel counts as disparity 0. Times are medians of runs that took turns.'
 )
+PADDED = 'OpenCV gets pictures padded on the left so that it too can fill every pixel.'
 NO_XIMGPROC = (
     "This OpenCV has no ximgproc: the rows with ximgproc's WLS filter are absent. It is part of"
     ' opencv-contrib-python-headless; `make evaluate` sets up an environment with it.'
@@ -48,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--presets',
-        type=_names,
+        type=preset_names,
         default=list(PRESETS),
         metavar='NAME,...',
         help=f'presets to evaluate (all: {",".join(PRESETS)})',
@@ -56,20 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--scenes', type=_names, metavar='NAME,...', help='scenes to evaluate (all)'
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        type=_option,
-        default=[],
-        metavar='OPTION=VALUE',
-        help='replace an option of the presets; may be repeated',
-    )
     parser.add_argument('--no-peers', action='store_true', help="leave OpenCV's matchers out")
     parser.add_argument(
         '--match-only', action='store_true', help='show the matching before the filter too'
     )
     parser.add_argument(
-        '--repeat', type=_positive, default=3, help='timed runs of each method (%(default)s)'
+        '--repeat', type=positive(int), default=3, help='timed runs of each method (%(default)s)'
     )
     parser.add_argument(
         '--exposure',
@@ -79,6 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--crop', action='store_true', help='also measure what cutting the pictures changes'
+    )
+    add_option_flags(
+        parser, exclude=('min_disparity', 'disparity_range', 'min_depth', 'max_depth')
     )
 
 
@@ -91,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
         If the scenes cannot be found, an option is wrong, or, at the end, if scenes failed.
 
     """
-    overrides = dict(args.set)
+    overrides = given_options(args)
     methods = _methods(args, overrides)
     folders = find_scenes(args.dir, args.scenes)
     make_folder(args.output)
@@ -99,14 +93,14 @@ def run(args: argparse.Namespace) -> None:
     scenes: list[SceneScores] = []
     sections: list[str] = []
     extra: dict[str, list[Any]] = {'exposure': [], 'crop': []}
-    for result in evaluate_scenes(
-        folders, methods, args.repeat, failures, _progress(len(folders))
-    ):
-        scenes.append(result.scores)
-        sections.append(report.scene_section(result))
-        _test_robustness(result, methods, args, extra)
-    if sys.stderr.isatty():
-        print(end='\r\033[K', file=sys.stderr)
+    with ProgressBar(len(folders), 'scenes') as bar:
+        for folder in folders:
+            bar.show(len(scenes) + len(failures.errors), folder.name)
+            with failures.of(folder.name):
+                result = evaluate_scene(read_scene(folder), methods, args.repeat)
+                _test_robustness(result, methods, args, extra)
+                scenes.append(result.scores)
+                sections.append(report.scene_section(result))
     if scenes:
         notes, tables = _notes(scenes, failures, len(folders)), _tables(scenes, extra)
         print('\n\n'.join([*tables, *notes]))
@@ -163,14 +157,14 @@ def _notes(scenes: list[SceneScores], failures: Failures, asked: int) -> list[st
     derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
     unknown = [scene.scene for scene in scenes if not scene.visible_source]
     notes = [HOW_MEASURED]
+    if not all(score.ours for score in scenes[0].scores):
+        notes += [PADDED] if peers.has_ximgproc() else [PADDED, NO_XIMGPROC]
     if derived:
         notes.append(
             f'Visible and occluded are derived from the ground truth in {", ".join(derived)}.'
         )
     if unknown:
         notes.append(f'Visible and occluded are not known in {", ".join(unknown)}.')
-    if not peers.has_ximgproc():
-        notes.append(NO_XIMGPROC)
     if failures.errors:
         notes.append(
             f'Not evaluated ({len(failures.errors)} of {asked}): {", ".join(failures.errors)}.'
@@ -198,32 +192,5 @@ def _write(
     write_json(args.output / 'evaluation.json', summary.to_plain(facts))
 
 
-def _progress(count: int) -> Any:
-    """Return a function that shows, where a person waits, which scene is being evaluated."""
-    done = 0
-
-    def show(name: str) -> None:
-        nonlocal done
-        done += 1
-        if sys.stderr.isatty():
-            print(end=f'\r\033[Kscene {done} of {count}: {name}', file=sys.stderr, flush=True)
-
-    return show
-
-
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(',') if name.strip()]
-
-
-def _option(text: str) -> tuple[str, OptionValue]:
-    name, sign, value = text.partition('=')
-    if not sign:
-        raise argparse.ArgumentTypeError(f'{text!r} is not OPTION=VALUE')
-    return name, yaml.safe_load(value)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'must be at least 1, got {value}')
-    return value

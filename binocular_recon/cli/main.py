@@ -19,6 +19,7 @@ COMMANDS = {
     'play': 'publish a bag on ROS 2 topics',
     'simulate': 'pictures of rods, or a survey scene as a bag, with ground truth',
     'evaluate': "accuracy on scenes with ground truth, against OpenCV's matchers",
+    'benchmark': 'speed and memory of every stage, against its peers',
 }
 
 EXIT_DONE, EXIT_PROBLEM, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130

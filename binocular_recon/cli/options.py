@@ -13,13 +13,18 @@ from binocular_recon.errors import ConfigError
 
 
 def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:
-    """Declare ``--preset`` and a flag for every option of the chain that ``exclude`` has not."""
+    """Declare ``--preset`` and the flags of `add_option_flags`."""
     parser.add_argument(
         '--preset',
         choices=list(PRESETS),
         default='default',
         help='options of the chain that belong together (%(default)s)',
     )
+    add_option_flags(parser, exclude)
+
+
+def add_option_flags(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:
+    """Declare a flag for every option of the chain that ``exclude`` has not."""
     group = parser.add_argument_group(
         'options of the chain', 'Each replaces the value of the preset.'
     )
@@ -45,8 +50,21 @@ def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] 
 
 def chain_config(args: argparse.Namespace, **overrides: OptionValue) -> ChainConfig:
     """Return the configuration that the arguments ask for; ``overrides`` win over all."""
-    given = {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
-    return ChainConfig.preset(args.preset, **{**given, **overrides})
+    return ChainConfig.preset(args.preset, **{**given_options(args), **overrides})
+
+
+def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
+    """Return the options of the chain whose flags were given."""
+    return {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
+
+
+def preset_names(text: str) -> list[str]:
+    """Convert an argument with one or more presets, separated by commas."""
+    names = [name.strip() for name in text.split(',') if name.strip()]
+    for name in names:
+        if name not in PRESETS:
+            raise argparse.ArgumentTypeError(f'{name!r} is not one of {", ".join(PRESETS)}')
+    return names
 
 
 def positive(kind: type[int | float]) -> Callable[[str], float]:

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,10 +22,10 @@ from binocular_recon.evaluation.metrics import (
     normalised_error_rms,
     sigma_bins,
 )
-from binocular_recon.evaluation.scenes import Scene, read_scene
+from binocular_recon.evaluation.scenes import Scene
 from binocular_recon.evaluation.timing import interleaved
 
-# Size of the piece of the first scene on which kernels are compiled before the clock runs.
+# Rows of a scene on which our methods run before the clock does.
 _WARM_UP_ROWS = 64
 
 
@@ -122,6 +121,14 @@ class Failures:
 
     errors: dict[str, BinocularReconError] = field(default_factory=dict)
 
+    @contextlib.contextmanager
+    def of(self, scene: str) -> Iterator[None]:
+        """Keep the error that ends the block, if it is one of ours, as this scene's."""
+        try:
+            yield
+        except BinocularReconError as error:
+            self.errors[scene] = error
+
     def raise_if_any(self, scenes: int) -> None:
         """Raise the error of a single failure, or one that names all of them."""
         errors = list(self.errors.values())
@@ -134,56 +141,17 @@ class Failures:
             )
 
 
-def evaluate_scenes(
-    folders: Iterable[Path],
-    methods: list[Method],
-    repeat: int = 3,
-    failures: Failures | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Iterator[SceneResult]:
-    """Evaluate methods on scenes, one scene after the other.
+def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> SceneResult:
+    """Evaluate methods on one scene; the timed runs of all methods take turns.
 
     Parameters
     ----------
-    folders : iterable of Path
-        Scene folders.
+    scene : Scene
+        Pictures and ground truth.
     methods : list of Method
         What to compare.
     repeat : int
         Timed rounds.
-    failures : Failures, optional
-        Takes the scenes that cannot be evaluated; without it the first one raises.
-    progress : function
-        Called with the name of each scene before it is evaluated.
-
-    Yields
-    ------
-    SceneResult
-        In the order of the folders.
-
-    Raises
-    ------
-    FileError, ImageError
-        If a scene cannot be read or matched and ``failures`` is not given.
-
-    """
-    warm = False
-    for folder in folders:
-        progress(folder.name)
-        try:
-            scene = read_scene(folder)
-            if not warm:
-                _compile(scene, methods)
-                warm = True
-            yield evaluate_scene(scene, methods, repeat)
-        except BinocularReconError as error:
-            if failures is None:
-                raise
-            failures.errors[folder.name] = error
-
-
-def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> SceneResult:
-    """Evaluate methods on one scene; the timed runs of all methods take turns.
 
     Raises
     ------
@@ -191,6 +159,7 @@ def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> Scen
         If a method refuses the scene.
 
     """
+    _compile(scene, methods)
     estimates: dict[str, Estimate] = {}
 
     def keeping(method: Method) -> Callable[[], None]:

@@ -11,8 +11,8 @@ from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.scenes import Image, Scene
 from binocular_recon.io.images import to_grey
-from binocular_recon.stereo.filtering import filter_disparity
 from binocular_recon.stereo.matching import match, sigma_from_confidence
+from binocular_recon.stereo.pipeline import estimate_disparity
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +72,7 @@ def preset_method(preset: str, **overrides: OptionValue) -> Method:
         config = _config(preset, overrides, disparity_range)
 
         def run() -> Estimate:
-            left_grey, right_grey = to_grey(left), to_grey(right)
-            matched = match(left_grey, right_grey, config.match)
-            filtered = filter_disparity(
-                matched.disparity_px,
-                matched.confidence,
-                left_grey,
-                config.filter,
-                limits_px=config.match.limits_px,
-            )
+            _, filtered = estimate_disparity(left, right, config)
             return Estimate(filtered.disparity_px, filtered.sigma_px)
 
         return run

@@ -13,7 +13,7 @@ import yaml
 
 from binocular_recon.errors import FileError, ImageError
 from binocular_recon.evaluation.metrics import FloatImage, Mask, visible_from_truth
-from binocular_recon.io.images import load_image
+from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
 
 Image = npt.NDArray[Any]
@@ -116,8 +116,8 @@ def read_scene(folder: Path) -> Scene:
 
     """
     facts = _read_facts(folder / 'scene.yaml')
-    left = load_image(folder / 'left.png')
-    right = load_image(folder / 'right.png')
+    left = read_image_file(folder / 'left.png')
+    right = read_image_file(folder / 'right.png')
     truth_px = read_pfm(folder / 'disparity.pfm')
     size = left.shape[:2]
     for name, image in (('right.png', right), ('disparity.pfm', truth_px)):
@@ -174,7 +174,7 @@ def _read_facts(path: Path) -> dict[str, Any]:
 def _visibility(folder: Path, truth_px: FloatImage) -> tuple[Mask | None, str]:
     path = folder / 'visible.png'
     if path.is_file():
-        image = load_image(path)
+        image = read_image_file(path)
         return (image if image.ndim == 2 else image[..., 0]) == 255, 'visible.png'
     if 100.0 * np.isfinite(truth_px).mean() >= _DENSE_PERCENT:
         return visible_from_truth(truth_px), 'ground truth'

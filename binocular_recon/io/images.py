@@ -1,54 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures: read from files, grey levels for matching, BGR for colour."""
+"""Pictures in memory: grey levels for matching, BGR for colour."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.errors import FileError, ImageError
+from binocular_recon.errors import ImageError
 
 Image = npt.NDArray[Any]
 
 # Largest value of each accepted type: white.
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
-
-
-def load_image(path: Path) -> Image:
-    """Read an image file as it is: 8 or 16 bit, grey or colour.
-
-    Parameters
-    ----------
-    path : Path
-        PNG, JPEG, TIFF, PGM or another format that OpenCV reads.
-
-    Returns
-    -------
-    image : (H, W) or (H, W, C), uint8, uint16 or float32
-        Colour as BGR or BGRA.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read or holds no picture.
-
-    """
-    try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError as error:
-        raise FileError(f'{path} cannot be read: {error.strerror}; check its name') from error
-    # decoding from memory, because OpenCV writes to stderr itself when it cannot open a file
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise FileError(
-            f'{path} is no picture that can be read ({data.size} bytes); it is damaged or of'
-            ' another format'
-        )
-    return image  # type: ignore[no-any-return]
 
 
 def to_grey(image: Image) -> npt.NDArray[np.float32]:
