@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--max-frames', type=positive(int), metavar='N', help='stop after N frames'
     )
+    parser.add_argument(
+        '--pictures',
+        action='store_true',
+        help='also draw each cloud, beside the left picture: NNNNNN_cloud.png',
+    )
     _add_input_options(parser)
     add_chain_options(parser)
 
@@ -103,6 +108,7 @@ def run(args: argparse.Namespace) -> None:
         tolerance_ns=round(args.approximate_sync_tolerance_seconds * 1e9),
         every=args.every,
         max_frames=args.max_frames,
+        pictures=args.pictures,
     )
     print(reconstruct_bag(source, args.output, args.preset, chain_config(args)))
 

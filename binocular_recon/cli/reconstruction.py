@@ -43,6 +43,8 @@ class Input:
         Take every Nth pair.
     max_frames : int, optional
         Stop after so many.
+    pictures : bool
+        Draw each cloud as well.
 
     """
 
@@ -56,6 +58,7 @@ class Input:
     tolerance_ns: int = 0
     every: int = 1
     max_frames: int | None = None
+    pictures: bool = False
 
 
 def reconstruct_bag(source: Input, output: Path, preset: str, config: ChainConfig) -> str:
@@ -88,7 +91,8 @@ def reconstruct_bag(source: Input, output: Path, preset: str, config: ChainConfi
         rig = read_rig(source.calibration) if source.calibration else None
         topics = _topics(bag, source)
         stereo = StereoBag(bag, topics, rig, tolerance_ns=source.tolerance_ns)
-        results = ResultFolder(output, {'bag': str(source.bag), **topics._asdict()})
+        facts = {'bag': str(source.bag), **topics._asdict()}
+        results = ResultFolder(output, facts, pictures=source.pictures)
         try:
             _reconstruct(stereo, source, results, config, rectify=not topics.rectified)
         except BaseException as error:

@@ -15,6 +15,7 @@ import numpy as np
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.timing import machine_facts
+from binocular_recon.io.cloud_picture import draw_cloud
 from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
@@ -33,6 +34,8 @@ class ResultFolder:
         Made with its parents where it does not exist.
     source : dict
         Where the frames come from; becomes part of the summary.
+    pictures : bool
+        Whether each cloud is drawn as well.
 
     Attributes
     ----------
@@ -48,12 +51,13 @@ class ResultFolder:
 
     """
 
-    def __init__(self, folder: Path, source: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, source: dict[str, Any], *, pictures: bool = False) -> None:
         make_folder(folder)
         self.folder = folder
         self.frames: list[dict[str, Any]] = []
         self.left_out: list[dict[str, Any]] = []
         self._source = source
+        self._pictures = pictures
         self._rig: StereoRig | None = None
 
     def add(
@@ -78,17 +82,20 @@ class ResultFolder:
     def _write_files(self, stem: str, reconstruction: Reconstruction) -> int:
         """Write all files of a frame or none; returns the number of points."""
         disparity_px, cloud = reconstruction.filtered.disparity_px, reconstruction.cloud
-        pfm, png, ply = (
-            self.folder / f'{stem}{ending}'
-            for ending in ('_disparity.pfm', '_disparity.png', '.ply')
-        )
+        endings = ('_disparity.pfm', '_disparity.png', '.ply', '_cloud.png')
+        files = [self.folder / f'{stem}{ending}' for ending in endings]
+        pfm, png, ply, drawing = files
+        bgr = to_bgr8(reconstruction.left)
         try:
             write_pfm(pfm, disparity_px)
             write_image_file(png, heat_map(disparity_px))
-            bgr = to_bgr8(reconstruction.left)
+            if self._pictures:
+                size = bgr.shape[1], bgr.shape[0]
+                drawn = draw_cloud(cloud.points_xyz, bgr, size)
+                write_image_file(drawing, np.hstack([bgr, drawn]))
             return write_ply(ply, cloud.points_xyz, cloud.sigma_z_m, bgr)
         except BaseException:
-            for path in (pfm, png, ply):
+            for path in files:
                 path.unlink(missing_ok=True)
             raise
 

@@ -27,7 +27,7 @@ from binocular_recon.io.images import Image
 from binocular_recon.io.messages import fill_camera_info, fill_image
 
 RELIABLE = TopicQos()
-_UNLIMITED = QosTime(2**31 - 1, 2**32 - 1)
+_UNLIMITED = QosTime(9223372036, 854775807)  # as rosbag2 writes it
 _IMAGE, _INFO = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CameraInfo'
 _ENCODINGS = {
     ('uint8', 2): 'mono8',

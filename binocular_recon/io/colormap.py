@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 # Share of the values, %, beyond each end of the colours when no limits are given.
 _CLIPPED_PERCENT = 1.0
+# The ends of the colour scale beyond these are too dark to be told from none.
+_FIRST_LEVEL, _LAST_LEVEL = 20, 240
 
 
 def heat_map(
@@ -36,8 +38,9 @@ def heat_map(
     if limits_px is None:
         limits_px = _own_limits(disparity_px[valid])
     low, high = limits_px
-    scaled = (disparity_px - low) * (255.0 / max(high - low, 1e-6))
-    levels = np.where(valid, np.clip(scaled, 0, 255), 0).astype(np.uint8)
+    share = np.clip((disparity_px - low) / max(high - low, 1e-6), 0, 1)
+    scaled = _FIRST_LEVEL + share * (_LAST_LEVEL - _FIRST_LEVEL)
+    levels = np.where(valid, scaled, 0).astype(np.uint8)
     picture: Any = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
     picture[~valid] = 0
     return picture  # type: ignore[no-any-return]
