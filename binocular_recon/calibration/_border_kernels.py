@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that find short borders between light and dark bands and string them into rods."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import kernel
+
+FloatImage = npt.NDArray[np.float32]
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+NONE = -1
+# Columns of a table of borders.
+X, Y, STEP, LIGHT, DARK = range(5)
+# Length of a gap against what the filter's width suggests (its scales are 1.57 apart).
+SHORTEST, LONGEST = 0.6, 1.7
+# Rods lean up to 20 degrees; borders are found to a fraction of their width.
+LEAN = 0.42
+# Levels of bands of one rod agree to this share of its contrast.
+LEVEL_TOLERANCE = 0.45
+
+
+@kernel
+def border_response(
+    middle: FloatImage,
+    side: FloatImage,
+    rise: int,
+    reach: int,
+    response: FloatImage,
+    start: int,
+    stop: int,
+) -> None:
+    """Write how much each pixel of rows start..stop - 1 looks like the middle of a border.
+
+    The step from ``rise`` rows below to as many above on the rod, less the step of the background
+    ``reach`` columns to both sides: a long horizontal edge gives nothing. Positive: dark below.
+    ``middle`` and ``side`` are the image averaged over the boxes of rod and background.
+    """
+    height, width = response.shape
+    for y in range(max(start, rise), min(stop, height - rise)):
+        for x in range(reach, width - reach):
+            step = middle[y - rise, x] - middle[y + rise, x]
+            left = side[y - rise, x - reach] - side[y + rise, x - reach]
+            right = side[y - rise, x + reach] - side[y + rise, x + reach]
+            clear = step - np.float32(0.5) * (left + right)
+            if step > 0:
+                response[y, x] = max(np.float32(0), min(step, clear))
+            else:
+                response[y, x] = min(np.float32(0), max(step, clear))
+
+
+@kernel
+def mark_peaks(
+    response: FloatImage,
+    threshold: float,
+    radius: int,
+    peak: npt.NDArray[np.bool_],
+    start: int,
+    stop: int,
+) -> None:
+    """Mark the local extremes beyond ``threshold`` in rows start..stop - 1."""
+    height, width = response.shape
+    for y in range(start, stop):
+        for x in range(width):
+            value = response[y, x]
+            if abs(value) < threshold:
+                continue
+            sign = np.float32(1 if value > 0 else -1)
+            best = True
+            for v in range(max(0, y - radius), min(height, y + radius + 1)):
+                for u in range(max(0, x - radius), min(width, x + radius + 1)):
+                    other, size = sign * response[v, u], sign * value
+                    # equal neighbours: the first one counts
+                    if other > size or (other == size and (v < y or (v == y and u < x))):
+                        best = False
+                        break
+                if not best:
+                    break
+            peak[y, x] = best
+
+
+@kernel
+def _same_rod(borders: FloatArray, i: int, j: int) -> bool:
+    """Return whether the bands at two borders have the same two levels."""
+    contrast = 0.5 * (abs(borders[i, STEP]) + abs(borders[j, STEP]))
+    limit = LEVEL_TOLERANCE * contrast
+    return (
+        abs(borders[i, LIGHT] - borders[j, LIGHT]) < limit
+        and abs(borders[i, DARK] - borders[j, DARK]) < limit
+    )
+
+
+@kernel
+def _even_band(borders: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
+    """Return whether the band from border i up to border j has one level, the right one."""
+    level = 0.5 * (
+        borders[i, LIGHT] + borders[j, LIGHT]
+        if borders[i, STEP] > 0
+        else borders[i, DARK] + borders[j, DARK]
+    )
+    limit = LEVEL_TOLERANCE * 0.5 * (abs(borders[i, STEP]) + abs(borders[j, STEP]))
+    for k in range(1, 4):
+        x = borders[i, X] + 0.25 * k * (borders[j, X] - borders[i, X])
+        y = borders[i, Y] + 0.25 * k * (borders[j, Y] - borders[i, Y])
+        if abs(middle[int(y + 0.5), int(x + 0.5)] - level) > limit:
+            return False
+    return True
+
+
+@kernel
+def _nearest(
+    borders: FloatArray, first: IntArray, cell: float, point: tuple[float, float, float], like: int
+) -> int:
+    """Return the border nearest to x, y within a radius that continues ``like``; NONE if none.
+
+    The step's sign must be that of ``like`` if the radius is given as negative, else opposite.
+    """
+    x, y, radius = point
+    sign = borders[like, STEP] if radius < 0 else -borders[like, STEP]
+    radius = abs(radius)
+    rows, columns = first.shape[0], first.shape[1] - 1
+    best, best_distance = NONE, radius * radius
+    for r in range(max(0, int((y - radius) / cell)), min(rows, int((y + radius) / cell) + 1)):
+        c0 = max(0, int((x - radius) / cell))
+        c1 = min(columns, int((x + radius) / cell) + 1)
+        if c1 <= c0:
+            continue
+        for j in range(first[r, c0], first[r, c1]):
+            distance = (borders[j, X] - x) ** 2 + (borders[j, Y] - y) ** 2
+            if (
+                distance < best_distance
+                and borders[j, STEP] * sign > 0
+                and _same_rod(borders, like, j)
+            ):
+                best, best_distance = j, distance
+    return best
+
+
+@kernel
+def _grow(
+    borders: FloatArray,
+    first: IntArray,
+    cell: float,
+    marks: FloatArray,
+    width: float,
+    middle: FloatImage,
+    chain: IntArray,
+) -> int:
+    """Extend a chain that holds two neighbouring marks both ways; return the number of marks."""
+    count = 2
+    lowest = 0
+    while chain[lowest] == NONE:
+        lowest += 1
+    for way in (1, -1):
+        last = lowest + 1 if way == 1 else lowest
+        before = last - way
+        k = last + way
+        while 0 <= k < marks.size and abs(k - last) <= 2:
+            ratio = (marks[k] - marks[last]) / (marks[last] - marks[before])
+            i, j = chain[before], chain[last]
+            dx, dy = (
+                ratio * (borders[j, X] - borders[i, X]),
+                ratio * (borders[j, Y] - borders[i, Y]),
+            )
+            radius = 0.3 * width + 0.1 * np.sqrt(dx * dx + dy * dy)
+            if (k - last) % 2 == 0:
+                radius = -radius
+            found = _nearest(
+                borders, first, cell, (borders[j, X] + dx, borders[j, Y] + dy, radius), j
+            )
+            if found != NONE and abs(k - last) == 1:
+                low, high = (j, found) if way == 1 else (found, j)
+                if not _even_band(borders, low, high, middle):
+                    found = NONE
+            if found != NONE:
+                chain[k] = found
+                count += 1
+                before, last = last, k
+            k += way
+    return count
+
+
+@kernel
+def string_rods(
+    borders: FloatArray,
+    first: IntArray,
+    cell: float,
+    marks: FloatArray,
+    scale: tuple[float, float],
+    middle: FloatImage,
+    chains: IntArray,
+    counts: IntArray,
+) -> None:
+    """Write for each border the longest chain that it starts as the lower of two marks.
+
+    Parameters
+    ----------
+    borders : (N, 5) float64
+        x, y, step, light and dark level, sorted by grid cells, px of ``middle``.
+    first : (rows, columns + 1) int64
+        Index of the first border of each cell; row r ends at ``first[r, columns]``.
+    cell : float
+        Side of a cell, px.
+    marks : (M,) float64
+        Heights of the marks, m.
+    scale : tuple of float
+        Width of the rods, px, and px per metre that it suggests.
+    middle : (H, W) float32
+        Image averaged over the rod's width.
+    chains : (N, M) int64
+        Border of each mark, NONE = not found.
+    counts : (N,) int64
+        Number of marks found, 0 = no chain.
+
+    """
+    width, px_per_m = scale
+    chain = np.empty(marks.size, np.int64)
+    gaps = np.diff(marks)
+    reach = LONGEST * px_per_m * gaps.max()
+    nearest = SHORTEST * px_per_m * gaps.min() * 0.9
+    rows, columns = first.shape[0], first.shape[1] - 1
+    for i in range(borders.shape[0]):
+        x, y = borders[i, X], borders[i, Y]
+        side = LEAN * reach
+        c0, c1 = max(0, int((x - side) / cell)), min(columns, int((x + side) / cell) + 1)
+        for r in range(max(0, int((y - reach) / cell)), min(rows, int((y - nearest) / cell) + 1)):
+            if y - nearest < 0:
+                break
+            for j in range(first[r, c0], first[r, c1]):
+                dx, dy = borders[j, X] - x, y - borders[j, Y]
+                if (
+                    dy <= 0
+                    or abs(dx) > LEAN * dy
+                    or borders[i, STEP] * borders[j, STEP] > 0
+                    or not _same_rod(borders, i, j)
+                ):
+                    continue
+                length = np.sqrt(dx * dx + dy * dy)
+                even = False
+                for a in range(marks.size - 1):
+                    if (a % 2 == 0) != (borders[i, STEP] > 0):
+                        continue
+                    ratio = length / (gaps[a] * px_per_m)
+                    if ratio < SHORTEST or ratio > LONGEST:
+                        continue
+                    if not even and not _even_band(borders, i, j, middle):
+                        break
+                    even = True
+                    chain[:] = NONE
+                    chain[a], chain[a + 1] = i, j
+                    count = _grow(borders, first, cell, marks, width, middle, chain)
+                    if count > counts[i]:
+                        counts[i] = count
+                        chains[i] = chain

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Look where the board says that further marks must be."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import kernel
+from binocular_recon.calibration._board_layout import (
+    board_homography,
+    lateral_limit_m,
+    project_plane,
+)
+from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.camera import FloatArray
+
+FloatImage = npt.NDArray[np.float32]
+
+# Agreement of the grey levels around a border with the rods' own that makes it a mark
+# (1 = equal, 0 = no border).
+AGREEMENT = 0.45
+# How near the frame a mark may be, px.
+FRAME_PX = 1.0
+
+
+def predict_marks(board: RodBoard, marks_px: FloatArray) -> FloatArray:
+    """Return where every mark should be, from those found: (R, M, 2) float64, NaN = no telling.
+
+    The homography of the board's plane, corrected for each rod by what is found of it.
+    """
+    found = np.isfinite(marks_px[..., 0])
+    matrix = board_homography(board, marks_px)
+    predicted = np.full_like(marks_px, np.nan)
+    if matrix is not None:
+        predicted = project_plane(matrix, board.world_points()[..., :2])
+    for rod in range(board.count):
+        h, seen = board.marks_m, found[rod]
+        if matrix is not None and seen.any():
+            off = marks_px[rod, seen] - predicted[rod, seen]
+            degree = min(1, int(seen.sum()) - 1)
+            predicted[rod] += np.stack([np.polyval(np.polyfit(h[seen], o, degree), h)
+                                        for o in off.T], -1)  # fmt: skip
+        elif matrix is None and seen.sum() >= 2:
+            predicted[rod] = np.stack(
+                [np.polyval(np.polyfit(h[seen], v, 1), h) for v in marks_px[rod, seen].T], -1
+            )
+    return predicted
+
+
+def complete(
+    image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float
+) -> FloatArray:
+    """Add the marks that the picture shows where the board says they must be.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Grey levels.
+    board : RodBoard
+        Places of rods and marks.
+    marks_px : (R, M, 2) float64
+        Marks found so far, px; NaN = not found.
+    width_px : float
+        Width of the rods, px.
+
+    Returns
+    -------
+    (R, M, 2) float64
+        Those and the new ones, the new ones to about 2 px.
+
+    """
+    mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
+    middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
+    rise = 1.0 + tall
+    predicted = predict_marks(board, marks_px)
+    levels = _levels(middle, marks_px, predicted, rise)
+    if levels is None:
+        return marks_px
+    completed = marks_px.copy()
+    for rod in range(board.count):
+        missing = ~np.isfinite(marks_px[rod, :, 0])
+        if not missing.any() or not np.isfinite(predicted[rod]).all():
+            continue
+        window = _window(board, predicted[rod], int((~missing).sum()), width_px)
+        points = np.full((board.marks_per_rod, 2), np.nan)
+        agreement = np.zeros(board.marks_per_rod)
+        search_line(middle, predicted[rod], window, levels, rise, points, agreement)
+        new = missing & (agreement > AGREEMENT)
+        if missing.all() and new.sum() < 2:
+            continue
+        completed[rod, new] = points[new]
+    return completed
+
+
+def _levels(
+    middle: FloatImage, marks_px: FloatArray, predicted: FloatArray, rise: float
+) -> FloatArray | None:
+    """Return the grey levels of dark and light bands next to the marks found: (2,) float64."""
+    size = np.array(middle.shape[::-1]) - 1
+    up = predicted[:, -1] - predicted[:, 0]
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    samples = []
+    for mark in range(marks_px.shape[1]):
+        for side in (-1, 1):
+            points = marks_px[:, mark] + side * rise * up
+            points = points[np.isfinite(points[:, 0])]
+            x, y = np.clip(np.rint(points), 0, size).astype(int).T
+            samples += [((side > 0) == (mark % 2 == 0), level) for level in middle[y, x]]
+    dark = [level for light, level in samples if not light]
+    light = [level for light, level in samples if light]
+    if not dark or np.median(light) <= np.median(dark):
+        return None
+    return np.array([np.median(dark), np.median(light)])
+
+
+def _window(
+    board: RodBoard, predicted: FloatArray, found: int, width_px: float
+) -> FloatArray:
+    """Return how far off a rod's marks may be: sideways at both ends, along the rod; and a step."""
+    scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
+    gap = scale * float(np.diff(board.marks_m).min())
+    if found == 0:
+        side = lateral_limit_m(board) * scale
+        along = min(0.4 * gap, (4 * board.height_sigma_m + 0.02) * scale + 2)
+    elif found == 1:
+        side = 0.3 * width_px + 4 * board.tilt_sigma_rad * np.ptp(board.marks_m) * scale
+        along = 2 + 0.05 * gap
+    else:
+        side, along = 0.3 * width_px, 1.5 + 0.04 * gap
+    return np.array([side, along, max(1.0, 0.25 * width_px)])
+
+
+@kernel
+def _agreement(
+    middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
+) -> float:
+    """Return how well the levels above and below x, y agree with ``levels`` (below, above).
+
+    ``up`` reaches from the border to the middle of the band above. -2 outside the picture.
+    """
+    height, width = middle.shape
+    xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
+    xb, yb = int(x - up[0] + 0.5), int(y - up[1] + 0.5)
+    # next to the frame the bands are short
+    ya, yb = max(ya, 0), min(yb, height - 1)
+    if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
+        return -2.0
+    if xa < 0 or xa >= width or xb < 0 or xb >= width:
+        return -2.0
+    off = abs(middle[yb, xb] - levels[0]) + abs(middle[ya, xa] - levels[1])
+    return 1.0 - off / abs(levels[1] - levels[0])
+
+
+@kernel
+def search_line(
+    middle: FloatImage,
+    predicted: FloatArray,
+    window: FloatArray,
+    levels: FloatArray,
+    rise: float,
+    points: FloatArray,
+    agreement: FloatArray,
+) -> None:
+    """Shift a whole rod sideways at both ends and along until its marks agree best.
+
+    Parameters
+    ----------
+    middle : (H, W) float32
+        Image averaged over the rod's width.
+    predicted : (M, 2) float64
+        Where the marks should be, px.
+    window : (3,) float64
+        Largest shift sideways and along, and the step sideways, px.
+    levels : (2,) float64
+        Grey levels of dark and light bands.
+    rise : float
+        Distance from a border at which levels are compared, px.
+    points, agreement : (M, 2), (M,) float64
+        Written: the marks' places and how well their levels agree.
+
+    """
+    count = predicted.shape[0]
+    dx, dy = predicted[-1, 0] - predicted[0, 0], predicted[-1, 1] - predicted[0, 1]
+    length = math.sqrt(dx * dx + dy * dy)
+    dx, dy = dx / length, dy / length
+    step = window[2]
+    sides, alongs = int(math.ceil(window[0] / step)), int(math.ceil(window[1]))
+    best = -1e9
+    best_low = best_high = best_along = 0.0
+    flipped = levels[::-1].copy()
+    for low in range(-sides, sides + 1):
+        for high in range(-sides, sides + 1):
+            for along in range(-alongs, alongs + 1):
+                total = 0.0
+                for m in range(count):
+                    f = m / (count - 1)
+                    side = step * (low + f * (high - low))
+                    x = predicted[m, 0] - side * dy + along * dx
+                    y = predicted[m, 1] + side * dx + along * dy
+                    value = _agreement(
+                        middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+                    )
+                    total += max(-0.5, value)
+                # equal scores: the smaller shift
+                total -= 1e-3 * (abs(low) + abs(high) + abs(along))
+                if total > best:
+                    best, best_low, best_high, best_along = total, low, high, along
+    for m in range(count):
+        f = m / (count - 1)
+        side = step * (best_low + f * (best_high - best_low))
+        # each mark may still be a little off
+        agreement[m] = -2.0
+        for extra in range(-2, 3):
+            along = best_along + extra
+            x = predicted[m, 0] - side * dy + along * dx
+            y = predicted[m, 1] + side * dx + along * dy
+            value = _agreement(
+                middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+            )
+            if value > agreement[m]:
+                agreement[m], points[m, 0], points[m, 1] = value, x, y

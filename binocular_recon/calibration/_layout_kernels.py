@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that tell which track is which rod of the board."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import kernel
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+NONE = -1
+# Cost of a mark that should be in the picture but was not found, and of a border that should
+# not be there, against 1 for a mark explained.
+MISSING, UNEXPLAINED = 0.3, 0.5
+# How far a border may be from where two other rods put the mark, as a share of the spacing.
+ALONG = 0.35
+
+
+@kernel
+def predict_rod(
+    ends: FloatArray, place: tuple[float, float, float], predicted: FloatArray
+) -> bool:
+    """Write bottom and top x, y of the rod at ``x`` from those of two others; False if behind.
+
+    ``ends`` (2, 5): bottom and top x, y, px per metre of two rods at ``x0`` and ``x1`` (the same
+    rod if these are equal); ``place`` is x, x0, x1. Points of the plane combine with weights that are depths, the inverse of
+    the scale.
+    """
+    x, x0, x1 = place
+    if x0 == x1:
+        predicted[:] = ends[0, :4]
+        return True
+    w0, w1 = (x1 - x) / ends[0, 4], (x - x0) / ends[1, 4]
+    total = w0 + w1
+    # nearer than a fifth or farther than five times the known rods: no board is
+    if total <= 0.2 * (x1 - x0) * min(1 / ends[0, 4], 1 / ends[1, 4]):
+        return False
+    for k in range(4):
+        predicted[k] = (w0 * ends[0, k] + w1 * ends[1, k]) / total
+    return True
+
+
+@kernel
+def _match_track(
+    track: FloatArray,
+    predicted: FloatArray,
+    marks: FloatArray,
+    lateral: float,
+    indices: IntArray,
+) -> tuple[int, int]:
+    """Give the borders of a track the marks of a predicted rod: numbers explained and not.
+
+    ``track`` (n, 3): x, y, sign of each border, NaN = none. ``indices`` (n,) is written.
+    """
+    length = marks[-1] - marks[0]
+    ax, ay = predicted[2] - predicted[0], predicted[3] - predicted[1]
+    size = ax * ax + ay * ay
+    explained = unexplained = 0
+    last = NONE
+    for j in range(track.shape[0]):
+        indices[j] = NONE
+        if math.isnan(track[j, 0]):
+            continue
+        bx, by = track[j, 0] - predicted[0], track[j, 1] - predicted[1]
+        off = (bx * ay - by * ax) / math.sqrt(size)
+        height = marks[0] + (bx * ax + by * ay) / size * length
+        best, best_gap = NONE, 1e9
+        for m in range(marks.size):
+            if (track[j, 2] > 0) == (m % 2 == 0) and abs(height - marks[m]) < best_gap:
+                best, best_gap = m, abs(height - marks[m])
+        if best == NONE:
+            unexplained += 1
+            continue
+        gap = marks[best] - marks[best - 1] if best > 0 else marks[1] - marks[0]
+        if best + 1 < marks.size:
+            gap = min(gap, marks[best + 1] - marks[best])
+        if abs(off) < lateral and best_gap < ALONG * gap and best > last:
+            indices[j] = best
+            last = best
+            explained += 1
+        else:
+            unexplained += 1
+    return explained, unexplained
+
+
+@kernel
+def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
+    """Return whether the track's first border is off the predicted rod's line sideways."""
+    j = 0
+    while math.isnan(track[j, 0]):
+        j += 1
+    ax, ay = predicted[2] - predicted[0], predicted[3] - predicted[1]
+    off = (track[j, 0] - predicted[0]) * ay - (track[j, 1] - predicted[1]) * ax
+    return off * off > lateral * lateral * (ax * ax + ay * ay)
+
+
+@kernel
+def score_layout(
+    tracks: FloatArray,
+    ends: FloatArray,
+    rods: tuple[int, int],
+    rods_x: FloatArray,
+    marks: FloatArray,
+    limits: FloatArray,
+    chosen: IntArray,
+    indices: IntArray,
+) -> float:
+    """Return how well all tracks fit the board that two rods suggest.
+
+    Parameters
+    ----------
+    tracks : (T, n, 3) float64
+        x, y, sign of each border, NaN = none.
+    ends : (2, 5) float64
+        Bottom and top x, y, px per metre of the two rods.
+    rods : tuple of int
+        Which rods of the board they are.
+    rods_x : (R,) float64
+        Places of the rods along the board, m.
+    marks : (M,) float64
+        Heights of the marks, m.
+    limits : (4,) float64
+        Width and height of the picture less a margin, px; how far a rod may be off sideways, m
+        and px.
+    chosen : (R,) int64
+        Written: track of each rod, NONE = none.
+    indices : (R, n) int64
+        Written: mark of each border of the chosen track, NONE = none.
+
+    """
+    total = 0.0
+    predicted = np.empty(4)
+    trial = np.empty(tracks.shape[1], np.int64)
+    for r in range(rods_x.size):
+        chosen[r] = NONE
+        place = (rods_x[r], rods_x[rods[0]], rods_x[rods[1]])
+        if not predict_rod(ends, place, predicted):
+            continue
+        expected = 0
+        for m in range(marks.size):
+            f = (marks[m] - marks[0]) / (marks[-1] - marks[0])
+            x = predicted[0] + f * (predicted[2] - predicted[0])
+            y = predicted[1] + f * (predicted[3] - predicted[1])
+            if limits[0] > x > 4 and limits[1] > y > 4:
+                expected += 1
+        length = math.hypot(predicted[2] - predicted[0], predicted[3] - predicted[1])
+        lateral = limits[2] * length / (marks[-1] - marks[0]) + limits[3]
+        best = 0.0
+        for t in range(tracks.shape[0]):
+            if _far(tracks[t], predicted, 2 * lateral):
+                continue
+            explained, unexplained = _match_track(tracks[t], predicted, marks, lateral, trial)
+            value = explained - UNEXPLAINED * unexplained
+            if explained >= 2 and value > best:
+                best, chosen[r] = value, t
+                indices[r] = trial
+                found = explained
+        if chosen[r] != NONE:
+            total += best - MISSING * max(0, expected - found)
+        else:
+            total -= MISSING * expected
+    return total

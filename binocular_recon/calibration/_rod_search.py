@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Look for rods: short borders of bands, strung along straight lines with the marks' spacing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import over_strips
+from binocular_recon.calibration._border_kernels import (
+    NONE,
+    STEP,
+    border_response,
+    mark_peaks,
+    string_rods,
+)
+from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.camera import FloatArray
+
+FloatImage = npt.NDArray[np.float32]
+
+# Widths of rods that the filters are made for, px of a pyramid level; each level halves the image,
+# so together they cover 2.7 to 50 px.
+FILTER_WIDTHS_PX = (3.5, 5.5)
+LEVELS = 4
+# Borders kept at each width, the strongest; a forest or a gravel heap offers 50 000.
+MOST_BORDERS = 20_000
+# Tracks looked at: no picture holds more that can be told from clutter.
+MOST_TRACKS = 300
+
+
+class Track(NamedTuple):
+    """A straight row of borders that may be a rod.
+
+    ``points_px`` (M, 2), NaN where the row has a gap; the marks' indices are a guess where their
+    spacing repeats. ``steps`` (M,): light less dark, grey levels. ``width_px`` is that of the
+    filter that found it.
+    """
+
+    points_px: FloatArray
+    steps: FloatArray
+    width_px: float
+    score: float
+
+    @property
+    def found(self) -> npt.NDArray[np.bool_]:
+        """Which marks the row has, (M,)."""
+        present: npt.NDArray[np.bool_] = np.isfinite(self.points_px[:, 0])
+        return present
+
+
+class Borders(NamedTuple):
+    """Borders of one filter width, sorted by cells of a grid."""
+
+    table: FloatArray
+    first: npt.NDArray[np.int64]
+    cell_px: float
+    middle: FloatImage
+
+
+def find_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list[Track]:
+    """Return rows of borders that may be rods, the best first, each place once.
+
+    Parameters
+    ----------
+    grey : (H, W) float32
+        Grey levels.
+    board : RodBoard
+        Heights of the marks and the rods' diameter.
+    threshold : float
+        Least step of a border, grey levels.
+
+    """
+    tracks: list[Track] = []
+    level, scale = grey, 1.0
+    for _ in range(LEVELS):
+        if min(level.shape) < 32:
+            break
+        for width in FILTER_WIDTHS_PX:
+            borders = _find_borders(level, width, threshold)
+            tracks += _string(borders, board, width, scale)
+        level, scale = cv2.pyrDown(level), 2 * scale
+    tracks.sort(key=lambda track: -track.score)
+    return _each_place_once(tracks)
+
+
+def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:
+    """Filter one pyramid level for borders on rods about ``width`` wide."""
+    # half sizes of the boxes on the rod and beside it, and their distances from the border
+    mid, side, tall = round(0.25 * width), round(0.2 * width), max(1, round(0.35 * width))
+    reach, rise = round(0.5 * width) + 1 + side, 1 + tall
+    middle = cv2.blur(level, (2 * mid + 1, 2 * tall + 1))
+    beside = cv2.blur(level, (2 * side + 1, 2 * tall + 1))
+    response = np.zeros_like(level)
+    peak = np.zeros(level.shape, np.bool_)
+    over_strips(border_response, len(level), middle, beside, rise, reach, response, strip=64)
+    radius = max(1, round(width / 3))
+    over_strips(mark_peaks, len(level), response, threshold, radius, peak, strip=64)
+    y, x = np.nonzero(peak)
+    size = np.abs(response[y, x])
+    if len(y) > MOST_BORDERS:
+        strongest = np.argpartition(-size, MOST_BORDERS)[:MOST_BORDERS]
+        y, x = y[strongest], x[strongest]
+    above, below = middle[y - rise, x], middle[y + rise, x]
+    levels = np.maximum(above, below), np.minimum(above, below)
+    table = np.stack([x, y, response[y, x], *levels], -1).astype(np.float64)
+    cell = 2 * width
+    rows, columns = int(level.shape[0] / cell) + 1, int(level.shape[1] / cell) + 1
+    key = (y / cell).astype(np.int64) * (columns + 1) + (x / cell).astype(np.int64)
+    order = np.argsort(key, kind='stable')
+    first = np.searchsorted(key[order], np.arange(rows * (columns + 1)))
+    return Borders(table[order], first.reshape(rows, columns + 1), cell, middle)
+
+
+def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> list[Track]:
+    """Return the tracks of one filter width in pixels of the whole picture."""
+    table = borders.table
+    chains = np.full((len(table), board.marks_per_rod), NONE)
+    counts = np.zeros(len(table), np.int64)
+    string_rods(
+        table,
+        borders.first,
+        borders.cell_px,
+        board.marks_m,
+        (width, width / board.rod_diameter_m),
+        borders.middle,
+        chains,
+        counts,
+    )
+    chosen = chains[counts >= min(3, board.marks_per_rod)]
+    if not len(chosen):
+        return []
+    present = chosen != NONE
+    points = np.where(present[..., None], table[chosen, :2] * scale + (scale - 1) / 2, np.nan)
+    steps = np.where(present, np.abs(table[chosen, STEP]), np.nan)
+    scores = _scores(points, steps, present, board, width * scale)
+    best = np.argsort(-scores, kind='stable')[: 4 * MOST_TRACKS]
+    return [Track(points[i], steps[i], width * scale, float(scores[i])) for i in best]
+
+
+def _scores(
+    points: FloatArray,
+    steps: FloatArray,
+    present: npt.NDArray[np.bool_],
+    board: RodBoard,
+    width: float,
+) -> FloatArray:
+    """Return the number of marks of each track, less for uneven steps and crooked lines."""
+    weight = present.astype(np.float64)
+    count = weight.sum(1)
+    heights = np.where(present, board.marks_m, 0.0)
+    place = np.where(present[..., None], points, 0.0)
+    mean_h = heights.sum(1) / count
+    mean_p = place.sum(1) / count[:, None]
+    dh = (board.marks_m - mean_h[:, None]) * weight
+    dp = (place - mean_p[:, None]) * weight[..., None]
+    slope = (dh[..., None] * dp).sum(1) / (dh**2).sum(1)[:, None]
+    crooked = np.sqrt(((dp - dh[..., None] * slope[:, None]) ** 2).sum((1, 2)) / count)
+    mean_step = np.nansum(steps, 1) / count
+    uneven = np.sqrt(np.nansum((steps - mean_step[:, None]) ** 2, 1) / count) / mean_step
+    scores: FloatArray = count / (1 + uneven**2 + (crooked / (0.3 * width)) ** 2)
+    return scores
+
+
+def _each_place_once(tracks: list[Track]) -> list[Track]:
+    """Drop tracks that lie on a better one's line."""
+    kept: list[Track] = []
+    lines: list[tuple[float, float, float, float, float]] = []
+    for track in tracks:
+        points = track.points_px[track.found]
+        y0, y1 = points[:, 1].min(), points[:, 1].max()
+        slope, x0 = np.polyfit(points[:, 1] - y0, points[:, 0], 1)
+        for other_x, other_y, other_slope, other_end, other_width in lines:
+            low, high = max(y0, other_y), min(y1, other_end)
+            if high - low > 0.3 * min(y1 - y0, other_end - other_y):
+                y = 0.5 * (low + high)
+                gap = abs(x0 + slope * (y - y0) - other_x - other_slope * (y - other_y))
+                if gap < 0.7 * max(track.width_px, other_width):
+                    break
+        else:
+            kept.append(track)
+            lines.append((x0, y0, slope, y1, track.width_px))
+        if len(kept) == MOST_TRACKS:
+            break
+    return kept

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find the rods of a board in a picture and measure their marks below a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.calibration._board_layout import identify
+from binocular_recon.calibration._guided_search import complete, predict_marks
+from binocular_recon.calibration._refinement import refine
+from binocular_recon.calibration._rod_search import find_tracks
+from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import ImageError
+
+FloatImage = npt.NDArray[np.float32]
+
+# Grey levels between the darkest and the lightest hundredth of a picture after stretching.
+FULL_RANGE = 255.0
+# Least step of a border, in levels of the stretched picture and in standard deviations of noise.
+LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """What was found of a board in one picture.
+
+    Attributes
+    ----------
+    marks_px : (R, M, 2) float64
+        Position x, y of each mark on the rod's visible middle line, px, pixel centres at integers;
+        NaN = not found.
+    sigma_px : (R, M) float64
+        One standard deviation of each mark along its rod, px; NaN = not found.
+    messages : tuple of str
+        What is missing, in words a crew can act on; empty if every mark was found.
+
+    """
+
+    marks_px: FloatArray
+    sigma_px: FloatArray = field(repr=False)
+    messages: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> npt.NDArray[np.bool_]:
+        """Which marks were found, (R, M) bool."""
+        present: npt.NDArray[np.bool_] = np.isfinite(self.marks_px[..., 0])
+        return present
+
+
+def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
+    """Find the rods of a board in a picture.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8 or uint16
+        Grey or BGR picture, not rectified.
+    board : RodBoard
+        The rods.
+
+    Returns
+    -------
+    Detection
+        Each mark with its rod and height, or left out if there is doubt.
+
+    Raises
+    ------
+    ImageError
+        If the picture's type or shape is another.
+
+    """
+    best: Detection | None = None
+    for grey in _channels(image):
+        detection = _detect(grey, board)
+        if best is None or detection.found.sum() > best.found.sum():
+            best = detection
+        if best.found.all():
+            break
+    assert best is not None
+    return best
+
+
+def _detect(grey: FloatImage, board: RodBoard) -> Detection:
+    stretched, threshold = _stretch(grey)
+    size = grey.shape[1], grey.shape[0]
+    rough, width = identify(find_tracks(stretched, board, threshold), board, size)
+    if not np.isfinite(rough).any():
+        return Detection(rough, rough[..., 0], ('no rod found',))
+    for _ in range(2):
+        rough = complete(stretched, board, rough, width)
+        refined = refine(stretched, board, rough, predict_marks(board, rough))
+        rough = refined.marks_px
+    return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+
+
+def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
+    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
+
+    The smallest of blue, green and red is low on every strong colour and high on white.
+    """
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
+        raise ImageError(
+            f'a picture of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
+            f' {image.shape} {image.dtype}'
+        )
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.ndim == 2:
+        yield image.astype(np.float32)
+        return
+    if image.shape[2] != 3:
+        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
+    color = image.astype(np.float32)
+    yield np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY))
+    yield color.min(2)
+
+
+def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
+    """Stretch a picture to the full range; return it and the least step of a border."""
+    sample = grey[::4, ::4]
+    low, high = np.percentile(sample, (1, 99))
+    gain = FULL_RANGE / max(float(high - low), 1e-3)
+    stretched = (grey - np.float32(low)) * np.float32(gain)
+    # the median of absolute second differences tells the noise: flat places prevail
+    rows = stretched[::4]
+    second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
+    noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
+    return stretched, max(LEAST_STEP, LEAST_STEP_SIGMAS * min(noise, 10.0))
+
+
+def _messages(marks_px: FloatArray) -> tuple[str, ...]:
+    """Say what is missing."""
+    found = np.isfinite(marks_px[..., 0])
+    if found.all():
+        return ()
+    rods = [f'rod {r + 1} of {len(found)} not found' for r in np.nonzero(~found.any(1))[0]]
+    return (*rods, f'{found.sum()} of {found.size} marks')
