@@ -69,8 +69,7 @@ class Picture:
         w = mapped[:, 2:, None]
         projective = (homography[:2, :2] * w - mapped[:, :2, None] * homography[2, :2]) / w**2
         values = np.linalg.svd(projective @ self.jacobians, compute_uv=False)
-        departures: FloatArray = values.ravel() - 1
-        return departures
+        return np.asarray(values.ravel() - 1, np.float64)
 
     def denominators(self, homography: FloatArray) -> FloatArray:
         """Return the third homogeneous coordinate of the mapped grid, (N,)."""
@@ -83,6 +82,12 @@ def apply(homography: FloatArray, pixels: FloatArray) -> FloatArray:
     mapped = pixels @ homography[:, :2].T + homography[:, 2]
     result: FloatArray = mapped[..., :2] / mapped[..., 2:]
     return result
+
+
+def apply_inverse(homography: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Map (..., 2) px by the inverse of a homography."""
+    inverse: FloatArray = np.linalg.inv(homography).astype(np.float64, copy=False)
+    return apply(inverse, pixels)
 
 
 def centring(

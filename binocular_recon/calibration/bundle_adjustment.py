@@ -14,7 +14,7 @@ Synthesis" (2000), sections 3, 6 and 9.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -61,8 +61,8 @@ class Problem:
         Parameters of `stereo_calibration.PARAMETERS` that are estimated.
     sigma_px : (2,) float64
         One standard deviation of a mark's u and v.
-    placement_scale : float
-        Factor on the target's sigmas.
+    placement_scale : (5,) float64
+        Factor on each of the target's sigmas.
 
     """
 
@@ -70,7 +70,7 @@ class Problem:
     observed_px: FloatArray
     free: Mask
     sigma_px: FloatArray
-    placement_scale: float = 1.0
+    placement_scale: FloatArray = field(default_factory=lambda: np.ones(5))
 
     @property
     def seen(self) -> Mask:
@@ -85,6 +85,12 @@ class Problem:
         free: Mask = self.target.sigmas > 0
         return free
 
+    @property
+    def rod_sigmas(self) -> FloatArray:
+        """One standard deviation of each free deviation of a rod, (f,)."""
+        sigmas: FloatArray = (self.placement_scale * self.target.sigmas)[self.free_deviations]
+        return sigmas
+
     def residuals(self, predicted_px: FloatArray) -> FloatArray:
         """Return observed - predicted in standard deviations, (B, R, M, 2, 2); 0 = not found."""
         split = (*self.observed_px.shape[:-1], 2, 2)
@@ -93,9 +99,8 @@ class Problem:
 
     def rod_residuals(self, state: State) -> FloatArray:
         """Return the rods' deviations in standard deviations, (B, R, f)."""
-        free = self.free_deviations
-        deviations: FloatArray = state.deviations[..., free]
-        return deviations / (self.placement_scale * self.target.sigmas[free])
+        deviations: FloatArray = state.deviations[..., self.free_deviations]
+        return deviations / self.rod_sigmas
 
 
 def minimise(problem: Problem, state: State) -> State:
@@ -143,7 +148,7 @@ def normal_equations(problem: Problem, state: State) -> NormalEquations:
     rods, shared = weighted_rows(problem, jacobians, np.sqrt(weights))
     errors = (np.sqrt(weights)[..., None] * residuals).reshape(*rods.shape[:3])
     rod_weights = _weights(np.abs(rod_residuals))
-    sigmas = problem.placement_scale * problem.target.sigmas[problem.free_deviations]
+    sigmas = problem.rod_sigmas
     rods_T = np.swapaxes(rods, -1, -2)
     rod = rods_T @ rods
     free = range(rod.shape[-1])

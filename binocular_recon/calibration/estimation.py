@@ -83,15 +83,15 @@ class Fit:
         Noise of u and v from the marks used (variance components).
     robust_sigma_px : (2,) float64
         Noise of u and v from the median residual of all marks.
-    placement_scale : float
-        Spread of the rods against the stated sigmas; 1 where they are exact.
+    placement_scale : (5,) float64
+        Spread of the rods against each stated sigma; 1 where they are exact.
 
     """
 
     lengths: FloatArray
     sigma_px: FloatArray
     robust_sigma_px: FloatArray
-    placement_scale: float
+    placement_scale: FloatArray
 
 
 def estimate(problem: Problem, state: State) -> Estimate:
@@ -170,18 +170,17 @@ def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
     )
 
 
-def _placement_scale(problem: Problem, state: State, joint: FloatArray) -> float:
-    """Return the spread of the rods against the stated sigmas."""
+def _placement_scale(problem: Problem, state: State, joint: FloatArray) -> FloatArray:
+    """Return the spread of the rods against the stated sigmas, (5,)."""
+    scale = np.ones(5)
     free = problem.free_deviations
-    if not free.any():
-        return 1.0
-    sigmas = problem.placement_scale * problem.target.sigmas[free]
-    count = len(sigmas)
-    variances = np.einsum('brff->brf', joint[..., :count, :count]) / sigmas**2
+    count = int(free.sum())
+    variances = np.einsum('brff->brf', joint[..., :count, :count]) / problem.rod_sigmas**2
     # a single rod that was knocked over says nothing about the others
-    spread = np.minimum(problem.rod_residuals(state) ** 2, HUBER**2).sum()
-    redundancy = max(float((1 - variances).sum()), 1.0)
-    return float(problem.placement_scale * np.sqrt(spread / redundancy))
+    spread = np.minimum(problem.rod_residuals(state) ** 2, HUBER**2).sum(axis=(0, 1))
+    redundancy = np.maximum((1 - variances).sum(axis=(0, 1)), 1.0)
+    scale[free] = problem.placement_scale[free] * np.sqrt(spread / redundancy)
+    return scale
 
 
 def _improved(problem: Problem, given_px: FloatArray, fit: Fit) -> Problem:
@@ -192,7 +191,7 @@ def _improved(problem: Problem, given_px: FloatArray, fit: Fit) -> Problem:
         problem,
         observed_px=np.where(good, given_px, np.nan),
         sigma_px=fit.robust_sigma_px if first_guess else fit.sigma_px,
-        placement_scale=fit.placement_scale if fit.placement_scale > PLACEMENT_LIMIT else 1.0,
+        placement_scale=np.where(fit.placement_scale > PLACEMENT_LIMIT, fit.placement_scale, 1.0),
     )
 
 
@@ -200,7 +199,7 @@ def _settled(problem: Problem, following: Problem) -> bool:
     return bool(
         np.array_equal(problem.seen, following.seen)
         and np.allclose(problem.sigma_px, following.sigma_px, rtol=0.01)
-        and np.isclose(problem.placement_scale, following.placement_scale, rtol=0.03)
+        and np.allclose(problem.placement_scale, following.placement_scale, rtol=0.03)
     )
 
 

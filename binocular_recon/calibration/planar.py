@@ -106,7 +106,7 @@ def _calibrate_camera(
             world,
             image,
             image_size,
-            _first_guess(points, pixels, image_size),
+            first_guess(points, pixels, image_size),
             np.zeros(5),
             flags=_FLAGS,
         )[1:5]
@@ -123,9 +123,7 @@ def _calibrate_camera(
     )
 
 
-def _first_guess(
-    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]
-) -> FloatArray:
+def first_guess(points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]) -> FloatArray:
     """Return K with a centred principal point and the focal length of the homographies.
 
     For a board's homography [h1 h2 h3] about the image centre, h1 and h2 stand at right angles

@@ -105,6 +105,14 @@ class StereoCalibration:
         K, D, _, _ = self.side(side)
         return undistort(pixels, K, D, K)
 
+    def distort(self, pixels: FloatArray, side: str) -> FloatArray:
+        """Return (..., 2) px of the camera without distortion as px of its raw image."""
+        K = self.side(side)[0]
+        rays = np.ones((*pixels.shape[:-1], 3))
+        rays[..., :2] = (pixels - K[:2, 2]) / np.diag(K)[:2]
+        R, T = self.side(side)[2:]
+        return self.project((rays - T) @ R, side)
+
     def triangulate(self, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
         """Return the points seen at (..., 2) px of both raw images, (..., 3) m, left frame."""
         rays = []

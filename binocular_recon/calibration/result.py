@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration found: the rig, its errors, and the three methods side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.calibration._linearisation import marks_in_left
+from binocular_recon.calibration.distortion import Evidence
+from binocular_recon.calibration.estimation import Estimate
+from binocular_recon.calibration.screening import Rejected
+from binocular_recon.calibration.stereo_calibration import PARAMETERS, StereoCalibration
+from binocular_recon.calibration.target import DEVIATIONS
+from binocular_recon.calibration.uncertainty import (
+    baseline_sigma_m,
+    depth_sigma_m,
+    field_of_view,
+    matching_sigma_m,
+)
+from binocular_recon.camera import FloatArray, StereoRig
+
+# Distances that calibration.json states the depth sigma for, m.
+DEPTHS_M = (10.0, 15.0, 20.0)
+# Noise of the disparity that goes into it, px: what matching reaches on good texture.
+DISPARITY_SIGMA_PX = 0.1
+_UNITS = {'f': 'px', 'c': 'px', 'k': '', 'p': '', 't': 'rad', 'T': 'm'}
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What one of the three calibrations makes of the same marks.
+
+    Attributes
+    ----------
+    residuals_px : (B, R, M, 4) float64
+        Observed - predicted in the original pictures (left u, v, right u, v); NaN = not used.
+    marks_m : (B, R, M, 3) float64
+        Marks reconstructed from both pictures in this calibration's left camera; NaN = not seen
+        by both.
+    row_difference_px : (B, R, M) float64
+        Row in the left minus row in the right picture; NaN = not seen by both.
+
+    """
+
+    residuals_px: FloatArray
+    marks_m: FloatArray
+    row_difference_px: FloatArray
+
+    @property
+    def board_error_px(self) -> FloatArray:
+        """Reprojection error of each board, (B,) px: root mean square per image axis.
+
+        Measured like the noise of a mark, so a perfect calibration shows just that noise.
+        """
+        squares = self.residuals_px.reshape(len(self.residuals_px), -1) ** 2
+        error: FloatArray = np.sqrt(np.nanmean(squares, axis=1))
+        return error
+
+    @property
+    def error_px(self) -> float:
+        """Reprojection error of all boards, px, root mean square per image axis."""
+        return float(np.sqrt(np.nanmean(self.residuals_px**2)))
+
+    def row_statistics(self) -> dict[str, float]:
+        """Return mean and largest row difference, px."""
+        rows = np.abs(self.row_difference_px)
+        return {'mean': float(np.nanmean(rows)), 'max': float(np.nanmax(rows))}
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """A finished calibration.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Boards that were used, in the order of all arrays.
+    rig : StereoRig
+        The adjusted calibration with the R and P that rectify it.
+    planar, corrected, adjusted : Stage
+        Zhang's method; the same after polar-line correction; the joint adjustment.
+    uncorrected_rows_px : (B, R, M) float64
+        Row differences of the marks in the original pictures.
+    estimate : Estimate
+        Adjusted parameters, their covariance, the noise found.
+    evidence : tuple of Evidence
+        Distortion models compared.
+    model : str
+        The one that was taken, a key of `distortion.MODELS`.
+    rejected : tuple of Rejected
+        Boards left out and why.
+    warnings : tuple of str
+        What the user should know before relying on the result.
+
+    """
+
+    names: tuple[str, ...]
+    rig: StereoRig
+    planar: Stage
+    corrected: Stage
+    adjusted: Stage
+    uncorrected_rows_px: FloatArray
+    estimate: Estimate
+    evidence: tuple[Evidence, ...]
+    model: str
+    rejected: tuple[Rejected, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def calibration(self) -> StereoCalibration:
+        """Both cameras."""
+        return self.estimate.state.calibration
+
+    @property
+    def mark_sigma_px(self) -> FloatArray:
+        """Noise of a mark's u and v, (2,) px."""
+        return self.estimate.problem.sigma_px
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of observed and predicted marks, px (as OpenCV reports)."""
+        return float(np.sqrt(2) * self.adjusted.error_px)
+
+    @cached_property
+    def marks_m(self) -> FloatArray:
+        """Adjusted marks on the rods' axes in the left camera, (B, R, M, 3) m."""
+        return marks_in_left(self.estimate.state, self.estimate.problem.target)
+
+    @cached_property
+    def sigma(self) -> dict[str, float]:
+        """One standard deviation of the baseline (m) and of each free parameter."""
+        free = self.estimate.problem.free
+        sigmas = np.sqrt(np.diag(self.estimate.covariance))
+        names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+        found = {'baseline_m': baseline_sigma_m(self.calibration, free, self.estimate.covariance)}
+        for name, sigma in zip(names, sigmas, strict=True):
+            unit = _UNITS[name[0]]
+            found[f'{name}_{unit}' if unit else name] = float(sigma)
+        return found
+
+    def depth_sigma_m(
+        self, depth_m: float, disparity_sigma_px: float = DISPARITY_SIGMA_PX
+    ) -> float:
+        """Return one standard deviation of a matched point's depth, m.
+
+        Parameters
+        ----------
+        depth_m : float
+            Distance along the optical axis, m.
+        disparity_sigma_px : float
+            Noise of the disparity, px; 0 gives the calibration's own share.
+
+        Returns
+        -------
+        float
+            Root mean square over the middle half of the pictures; NaN where they do not overlap.
+
+        """
+        points = field_of_view(self.calibration, depth_m)
+        if not len(points):
+            return float('nan')
+        own = depth_sigma_m(
+            self.calibration, self.estimate.problem.free, self.estimate.covariance, points
+        )
+        noise = matching_sigma_m(
+            self.rig.focal_px, self.rig.baseline_m, depth_m, disparity_sigma_px
+        )
+        return float(np.sqrt(np.mean(own**2) + noise**2))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the content of ``calibration.json``."""
+        calibration = self.calibration
+        depths = {f'{depth:g}': self.depth_sigma_m(depth) for depth in DEPTHS_M}
+        return {
+            'image_size': list(calibration.image_size),
+            'baseline_m': calibration.baseline_m,
+            'left': _camera(calibration, 'left'),
+            'right': _camera(calibration, 'right'),
+            'R': calibration.R.tolist(),
+            'T': calibration.T.tolist(),
+            'sigma': self.sigma,
+            'depth_sigma_m': {
+                depth: sigma if np.isfinite(sigma) else None for depth, sigma in depths.items()
+            },
+            'boards': self._boards(),
+            'row_difference_px': {
+                'uncorrected': _statistics(self.uncorrected_rows_px),
+                'corrected': self.corrected.row_statistics(),
+                'adjusted': self.adjusted.row_statistics(),
+            },
+            'rejected': [{'name': board.name, 'reason': board.reason} for board in self.rejected],
+            'rms_px': self.rms_px,
+            'mark_sigma_px': {
+                'u': float(self.mark_sigma_px[0]),
+                'v': float(self.mark_sigma_px[1]),
+            },
+            'marks_left_out': int(self.estimate.outliers.sum()),
+            'placement_scale': dict(
+                zip(DEVIATIONS, self.estimate.problem.placement_scale.tolist(), strict=True)
+            ),
+            'distortion': {
+                'model': self.model,
+                'evidence': [
+                    {'model': e.model, 'chi2': e.chi2, 'parameters': e.parameters, 'bic': e.bic}
+                    for e in self.evidence
+                ],
+            },
+            'warnings': list(self.warnings),
+        }
+
+    def _boards(self) -> list[dict[str, Any]]:
+        used = np.isfinite(self.adjusted.residuals_px)
+        counts = used.reshape(len(used), -1).sum(axis=1) // 2
+        return [
+            {
+                'name': name,
+                'marks': int(counts[i]),
+                'uncorrected_px': float(self.planar.board_error_px[i]),
+                'corrected_px': float(self.corrected.board_error_px[i]),
+                'adjusted_px': float(self.adjusted.board_error_px[i]),
+            }
+            for i, name in enumerate(self.names)
+        ]
+
+
+def _camera(calibration: StereoCalibration, side: str) -> dict[str, Any]:
+    K, D, _, _ = calibration.side(side)
+    return {'K': K.tolist(), 'D': (D if D[5:].any() else D[:5]).tolist()}
+
+
+def _statistics(rows: FloatArray) -> dict[str, float]:
+    return Stage(rows, rows, rows).row_statistics()

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which boards can be used at all, and whether together they determine a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from binocular_recon.calibration.planar import MIN_MARKS, first_guess
+from binocular_recon.calibration.rods import Capture
+from binocular_recon.calibration.target import Target
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import CalibrationError
+
+# Two boards determine a pinhole camera just so; a third one checks them.
+MIN_BOARDS = 3
+# What the paper used; fewer are accepted with a warning.
+RECOMMENDED_BOARDS = 11
+# Largest misfit of a flat board: this many px plus this share of its size in the picture, which
+# leaves room for lens distortion and for rods that stand a few centimetres off.
+FLATNESS_PX, FLATNESS_SHARE = 4.0, 0.04
+# Boards whose marks all lie this close (median, px) to those of another one show the same scene.
+REPEATED_PX = 1.0
+# Less spread makes focal length and baseline depend on each other.
+MIN_DISTANCE_RATIO = 1.1
+MIN_ANGLE_DEG = 6.0
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A board that was left out and why."""
+
+    name: str
+    reason: str
+
+
+def usable_boards(
+    captures: Sequence[Capture],
+    target: Target,
+    image_size: tuple[int, int],
+    rejected: Sequence[Rejected] = (),
+) -> tuple[list[Capture], list[Rejected]]:
+    """Separate boards that can be used from those that cannot.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Marks of each board.
+    target : Target
+        What was captured.
+    image_size : (int, int)
+        Width and height, px.
+    rejected : sequence of Rejected
+        Boards that were lost before, such as unreadable files.
+
+    Returns
+    -------
+    usable : list of Capture
+    rejected : list of Rejected
+        Including those given.
+
+    Raises
+    ------
+    CalibrationError
+        If too few boards are usable, or the target's description contradicts most pictures.
+
+    """
+    usable: list[Capture] = []
+    lost = list(rejected)
+    misfits = 0
+    for capture in captures:
+        _check_shape(capture, target)
+        reason = _too_few_marks(capture, target)
+        if reason is None and (reason := _misfit(capture, target, image_size)):
+            misfits += 1
+        reason = reason or _repetition(capture, usable)
+        if reason is None:
+            usable.append(capture)
+        else:
+            lost.append(Rejected(capture.name, reason))
+    if misfits > len(captures) / 2:
+        raise CalibrationError(
+            f'the marks of {misfits} of {len(captures)} boards do not lie as described (such as'
+            f' {_listed(lost[-1:])}); check the positions of the rods and the heights of the marks'
+        )
+    check_count(len(usable), lost)
+    return usable, lost
+
+
+def check_count(usable: int, rejected: Sequence[Rejected]) -> None:
+    """Raise a CalibrationError that says how many boards are missing and why."""
+    if usable >= MIN_BOARDS:
+        return
+    given = usable + len(rejected)
+    why = f'; left out: {_listed(rejected)}' if rejected else ''
+    raise CalibrationError(
+        f'{usable} of {given} boards can be used and at least {MIN_BOARDS} are needed; capture'
+        f' {MIN_BOARDS - usable} more, better {RECOMMENDED_BOARDS - usable}, at different'
+        f' distances and angles{why}'
+    )
+
+
+def check_spread(captures: Sequence[Capture], target: Target, image_size: tuple[int, int]) -> None:
+    """Raise a CalibrationError if the boards are parallel or all at one distance.
+
+    Parallel boards leave the focal length open whatever their number: every plane with the same
+    normal has the same vanishing line. Boards at one distance leave baseline and the angle
+    between the cameras to be told apart by the boards' own depth.
+    """
+    points = target.nominal_m.reshape(-1, 3)
+    pixels = np.stack([capture.left_px.reshape(-1, 2) for capture in captures])
+    K = first_guess(points, pixels, image_size)
+    normals, centres = [], []
+    for board in pixels:
+        seen = np.isfinite(board).all(axis=-1)
+        # a wrong K turns all parallel planes alike and scales all distances alike
+        _, turn, shift = cv2.solvePnP(points[seen], board[seen], K, None)
+        R = cv2.Rodrigues(turn)[0]
+        normals.append(R[:, 2])
+        centres.append(R @ points.mean(axis=0) + shift.ravel())
+    distances = np.linalg.norm(centres, axis=1), np.abs(np.array(centres)[:, 2])
+    if min(values.max() / values.min() for values in distances) < MIN_DISTANCE_RATIO:
+        raise CalibrationError(
+            f'all {len(captures)} boards stand at one distance (nearest and farthest differ by'
+            f' less than {100 * (MIN_DISTANCE_RATIO - 1):.0f} %), which leaves depth undetermined;'
+            ' spread them over the whole working distance'
+        )
+    mean = np.mean(normals, axis=0) / np.linalg.norm(np.mean(normals, axis=0))
+    angles = np.degrees(np.arccos(np.clip(normals @ mean, -1, 1)))
+    spread = float(np.sqrt(np.mean(angles**2)))
+    if spread < MIN_ANGLE_DEG:
+        raise CalibrationError(
+            f'all {len(captures)} boards are parallel (their directions scatter by'
+            f' {spread:.1f} degrees, at least {MIN_ANGLE_DEG:g} are needed), which leaves the'
+            ' focal length undetermined; turn boards by 20 to 50 degrees to either side'
+        )
+
+
+def _check_shape(capture: Capture, target: Target) -> None:
+    expected = (*target.shape, 2)
+    for side, pixels in (('left', capture.left_px), ('right', capture.right_px)):
+        if pixels.shape != expected:
+            raise CalibrationError(
+                f'{side} marks of {capture.name} have shape {pixels.shape}, expected {expected}'
+                ' (rods, marks per rod, 2); detect them with the same rods.yaml'
+            )
+
+
+def _too_few_marks(capture: Capture, target: Target) -> str | None:
+    found = [np.isfinite(px).all(axis=-1) for px in (capture.left_px, capture.right_px)]
+    both = found[0] & found[1]
+    total = both.size
+    if both.sum() < MIN_MARKS:
+        left, right = (int(seen.sum()) for seen in found)
+        return (
+            f'{both.sum()} of {total} marks found in both pictures (left {left}, right {right}),'
+            f' at least {MIN_MARKS} are needed'
+        )
+    points = target.nominal_m[both][:, :2]
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < 0.02 * spread[0]:
+        return 'the marks found in both pictures lie on one line; at least two rods are needed'
+    return None
+
+
+def _misfit(capture: Capture, target: Target, image_size: tuple[int, int]) -> str | None:
+    """Say by how much the marks miss any flat board as described, None if they fit."""
+    points = target.nominal_m.reshape(-1, 3)
+    for side, given in (('left', capture.left_px), ('right', capture.right_px)):
+        pixels = given.reshape(-1, 2)
+        seen = np.isfinite(pixels).all(axis=-1)
+        if (pixels[seen] < -0.5).any() or (pixels[seen] > np.array(image_size) - 0.5).any():
+            width, height = image_size
+            return f'marks of the {side} picture lie outside its {width}x{height} px'
+        homography, _ = cv2.findHomography(points[seen, :2], pixels[seen])
+        if homography is None:
+            return f'the marks of the {side} picture do not form a board'
+        mapped = np.column_stack([points[seen, :2], np.ones(seen.sum())]) @ homography.T
+        errors = np.linalg.norm(pixels[seen] - mapped[:, :2] / mapped[:, 2:], axis=1)
+        error = float(np.sqrt(np.mean(errors**2)))
+        size = float(np.linalg.norm(np.ptp(pixels[seen], axis=0)))
+        if error > FLATNESS_PX + FLATNESS_SHARE * size:
+            return (
+                f'the marks of the {side} picture miss a board as described by {error:.0f} px; a'
+                ' rod or a mark was taken for another one, or stands elsewhere'
+            )
+    return None
+
+
+def _repetition(capture: Capture, others: Sequence[Capture]) -> str | None:
+    for other in others:
+        moves = [
+            np.linalg.norm(mine - theirs, axis=-1)
+            for mine, theirs in (
+                (capture.left_px, other.left_px),
+                (capture.right_px, other.right_px),
+            )
+        ]
+        common = np.isfinite(moves)
+        if common.any() and float(np.median(np.array(moves)[common])) < REPEATED_PX:
+            return f'it repeats board {other.name}: the rods were not moved in between'
+    return None
+
+
+def _listed(rejected: Sequence[Rejected]) -> str:
+    return '; '.join(f'{board.name}: {board.reason}' for board in rejected)
+
+
+def observations(captures: Sequence[Capture]) -> FloatArray:
+    """Return the marks of all boards, (B, R, M, 4) px: left u, left v, right u, right v."""
+    return np.stack(
+        [np.concatenate([capture.left_px, capture.right_px], axis=-1) for capture in captures]
+    )

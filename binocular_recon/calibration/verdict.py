@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a finished adjustment may be relied on, and what its user should know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from binocular_recon.calibration._linearisation import linearise, marks_in_left
+from binocular_recon.calibration.estimation import Estimate
+from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
+from binocular_recon.calibration.target import DEVIATIONS
+from binocular_recon.calibration.uncertainty import depth_sigma_m, field_of_view
+from binocular_recon.errors import CalibrationError
+
+# Marks of a good detector scatter by 0.1 to 0.3 px.
+NOISE_WARNING_PX, NOISE_LIMIT_PX = 0.6, 3.0
+# A mark that is left out in this share of the boards is not where it is said to be.
+CONTRADICTION_SHARE = 0.5
+# Displacements of a rod, as shares of the rods' spacing, that no crew produces: its typical
+# one, and the one it has in all boards alike.
+DISPLACEMENT_SHARE, COMMON_SHARE = 0.05, 0.03
+# Heights of marks that are off by this much, in all boards alike, are pointed out.
+MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
+# Depth that is known worse than this share of itself amid the boards is not calibrated.
+DEPTH_LIMIT = 0.1
+
+
+def check_result(found: Estimate, names: Sequence[str]) -> None:
+    """Raise a CalibrationError if the marks contradict the description or leave depth open.
+
+    Parameters
+    ----------
+    found : Estimate
+        Finished adjustment.
+    names : sequence of str
+        Names of the boards used.
+
+    """
+    _check_marks(found)
+    _check_noise(found, names)
+    _check_placement(found)
+    _check_depth(found)
+
+
+def warnings_of(found: Estimate) -> tuple[str, ...]:
+    """Return what the user should know, in sentences."""
+    warnings = []
+    problem = found.problem
+    if len(found.boards) < RECOMMENDED_BOARDS:
+        warnings.append(
+            f'{len(found.boards)} boards were used; depth is better known with'
+            f' {RECOMMENDED_BOARDS} or more'
+        )
+    worse = problem.placement_scale > 1
+    if worse.any():
+        spread = ', '.join(
+            f'{scale:.1f} times in {name}'
+            for name, scale in zip(DEVIATIONS, problem.placement_scale, strict=True)
+            if scale > 1
+        )
+        warnings.append(
+            f'the rods stand less exactly than stated ({spread}); the larger spread was used, but'
+            ' check the positions in rods.yaml'
+        )
+    warnings += _misplaced_marks(found)
+    noise = float(problem.sigma_px.max())
+    if noise > NOISE_WARNING_PX:
+        exact = problem.target.has_rods and not problem.free_deviations.any()
+        cause = (
+            'rods.yaml states exactly placed rods: state a placement_sigma'
+            if exact
+            else 'pictures may be blurred, or marks not where they are said to be'
+        )
+        warnings.append(f'marks scatter by {noise:.2f} px, 0.1 to 0.3 px is usual; {cause}')
+    return tuple(warnings)
+
+
+def _check_marks(found: Estimate) -> None:
+    left_out = np.any(found.outliers, axis=-1)
+    given = left_out | np.any(found.problem.seen, axis=-1)
+    shares = left_out.sum(axis=0) / np.maximum(given.sum(axis=0), 1)
+    if len(found.boards) > MIN_BOARDS and shares.max() >= CONTRADICTION_SHARE:
+        rod, mark = np.unravel_index(int(np.argmax(shares)), shares.shape)
+        what = (
+            f'mark {mark + 1} of rod {rod + 1}'
+            if found.problem.target.has_rods
+            else f'point {rod}'
+        )
+        raise CalibrationError(
+            f'{what} is not where it is said to be: it misses the others in'
+            f' {left_out[:, rod, mark].sum()} of {given[:, rod, mark].sum()} boards; measure it'
+            ' and correct its description'
+        )
+
+
+def _check_noise(found: Estimate, names: Sequence[str]) -> None:
+    noise = float(found.problem.sigma_px.max())
+    if noise > NOISE_LIMIT_PX:
+        raise CalibrationError(
+            f'the marks of {len(names)} boards miss the best calibration by {noise:.1f} px (limit'
+            f' {NOISE_LIMIT_PX:g} px): check the heights of the marks, the positions of the rods'
+            ' and that both pictures of a board were taken at the same time'
+        )
+
+
+def _check_placement(found: Estimate) -> None:
+    target = found.problem.target
+    if not target.has_rods or len(target.anchors_m) < 2:
+        return
+    spacing = float(np.linalg.norm(np.diff(target.anchors_m, axis=0), axis=1).min())
+    for axis, name in ((0, 'x'), (2, 'z')):
+        offsets = found.state.deviations[..., axis]
+        typical, common = np.median(np.abs(offsets), axis=0), np.median(offsets, axis=0)
+        excess = np.maximum(typical / DISPLACEMENT_SHARE, np.abs(common) / COMMON_SHARE)
+        rod = int(np.argmax(excess))
+        if excess[rod] > spacing and typical[rod] > 3 * target.sigmas[axis]:
+            raise CalibrationError(
+                f'rods.yaml contradicts the pictures: rod {rod + 1} stands'
+                f' {1e3 * typical[rod]:.0f} mm off its {name} in most boards (median'
+                f' {1e3 * common[rod]:+.0f} mm, stated sigma'
+                f' {1e3 * target.sigmas[axis]:.3g} mm); measure the rods and correct their'
+                ' positions'
+            )
+
+
+def _misplaced_marks(found: Estimate) -> list[str]:
+    """Name marks that sit elsewhere along the rods than stated, in every board alike."""
+    problem = found.problem
+    if not problem.target.has_rods:
+        return []
+    predicted, jacobians = linearise(found.state, problem.target)
+    residuals = problem.residuals(predicted)
+    # the marks' shift per metre along the rod, in standard deviations
+    slopes = jacobians.rod[..., 1].reshape(residuals.shape) / problem.sigma_px
+    slopes = slopes * problem.seen[..., None]
+    information = (slopes**2).sum(axis=(0, 1, 3, 4))
+    offsets = (slopes * residuals).sum(axis=(0, 1, 3, 4)) / np.maximum(information, 1e-12)
+    return [
+        f'mark {mark + 1} sits about {1e3 * offset:+.1f} mm from its height'
+        f' {problem.target.heights_m[mark]:g} m on all rods; measure it and correct rods.yaml'
+        for mark, offset in enumerate(offsets)
+        if abs(offset) > max(MARK_OFFSET_M, MARK_OFFSET_SIGMAS / np.sqrt(information[mark]))
+    ]
+
+
+def _check_depth(found: Estimate) -> None:
+    depth = float(np.median(marks_in_left(found.state, found.problem.target)[..., 2]))
+    points = field_of_view(found.state.calibration, depth)
+    if not len(points):
+        return
+    sigma = depth_sigma_m(found.state.calibration, found.problem.free, found.covariance, points)
+    typical = float(np.sqrt(np.mean(sigma**2)))
+    if not typical <= DEPTH_LIMIT * depth:
+        raise CalibrationError(
+            f'the boards do not determine depth: one standard deviation at {depth:.3g} m is'
+            f' {typical:.2g} m (limit {DEPTH_LIMIT:.0%}); capture more boards, turned by 20 to 50'
+            ' degrees to either side and at more distances'
+        )
