@@ -14,7 +14,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit kernels jazzy colcon evaluate benchmark \
-        lock clean distclean
+        docs lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -69,6 +69,9 @@ evaluate: ## accuracy on scenes with ground truth against OpenCV; SCENES=folder
 benchmark: ## speed of each stage against its peer
 	@$(INSTALL) .venv-contrib contrib
 	@.venv-contrib/bin/python -m binocular_recon benchmark --output out
+
+docs: setup ## docs/nodes.md from what the nodes declare
+	$(RUN) docs/make_nodes.py
 
 lock: ## resolve requirements/*.txt again; needs python3.10 to python3.13
 	@$(PYTHON) requirements/lock.py python3.10 python3.11 python3.12 python3.13
