@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build and installation; ``package.xml`` states the same for ROS."""
 
-from glob import glob
+from collections import defaultdict
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'binocular_recon'
+
+share = defaultdict(list)
+for folder in ('bags', 'config', 'launch', 'rviz'):
+    for path in sorted(Path(folder).rglob('*')):
+        if path.is_file() and '__pycache__' not in path.parts:
+            share[f'share/{PACKAGE}/{path.parent.as_posix()}'].append(path.as_posix())
 
 setup(
     name=PACKAGE,
@@ -17,9 +24,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
-        (f'share/{PACKAGE}/config', glob('config/*')),
-        (f'share/{PACKAGE}/rviz', glob('rviz/*.rviz')),
+        *share.items(),
     ],
     python_requires='>=3.10',
     install_requires=[

@@ -38,6 +38,7 @@ ROSDEP = {
     'python3-yaml': 'PyYAML',
 }
 MODULE_NAMES = {'cv2': 'python3-opencv', 'yaml': 'python3-yaml', 'rosbags': 'python3-rosbags-pip'}
+SHARED = ['bags', 'config', 'launch', 'rviz']
 PYTHONS = ['3.10', '3.11', '3.12', '3.13']
 
 
@@ -189,7 +190,7 @@ def test_wheel_holds_the_whole_package(tmp_path: Path) -> None:
     pytest.importorskip('pip')
     if Version(metadata.version('setuptools')) < Version('70.1'):
         pytest.skip('setuptools before 70.1 leaves the making of wheels to another package')
-    for name in ('binocular_recon', 'config', 'launch', 'resource', 'rviz'):
+    for name in ('binocular_recon', 'resource', *SHARED):
         if (REPOSITORY / name).is_dir():
             ignore = shutil.ignore_patterns('__pycache__')
             shutil.copytree(REPOSITORY / name, tmp_path / 'source' / name, ignore=ignore)
@@ -209,8 +210,9 @@ def test_wheel_holds_the_whole_package(tmp_path: Path) -> None:
     data = f'binocular_recon-{binocular_recon.__version__}.data/data/share'
     assert f'{data}/ament_index/resource_index/packages/binocular_recon' in names
     for path in tracked():
-        if path.parent.name in ('config', 'launch', 'rviz') or path.name == 'package.xml':
-            assert f'{data}/binocular_recon/{path.relative_to(REPOSITORY)}' in names
+        inside = path.relative_to(REPOSITORY)
+        if inside.parts[0] in {'package.xml', *SHARED}:
+            assert f'{data}/binocular_recon/{inside}' in names
 
     done = subprocess.run(
         [sys.executable, '-m', 'binocular_recon', '--help'],
