@@ -4,21 +4,28 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from binocular_recon.cli.options import add_option_flags, given_options, positive, preset_names
 from binocular_recon.cli.progress import ProgressBar
-from binocular_recon.config import PRESETS, OptionValue
+from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
-from binocular_recon.evaluation import peers, report, robustness, summary
+from binocular_recon.evaluation import peers, report, summary
 from binocular_recon.evaluation.evaluate import (
     Failures,
-    SceneResult,
     SceneScores,
     evaluate_scene,
 )
 from binocular_recon.evaluation.methods import Method, match_method, opencv_method, preset_method
+from binocular_recon.evaluation.robustness import (
+    EXPOSURE_GAIN,
+    EXPOSURE_OFFSET,
+    CropChange,
+    ExposureChange,
+    crop_changes,
+    exposure_change,
+)
 from binocular_recon.evaluation.scenes import find_scenes, read_scene
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import complete_file, make_folder, write_json
@@ -66,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--exposure',
         action='store_true',
         help='also evaluate with the right picture made darker (times'
-        f' {robustness.EXPOSURE_GAIN:g}, plus {robustness.EXPOSURE_OFFSET:g} grey levels)',
+        f' {EXPOSURE_GAIN:g}, plus {EXPOSURE_OFFSET:g} grey levels)',
     )
     parser.add_argument(
         '--crop', action='store_true', help='also measure what cutting the pictures changes'
@@ -76,6 +83,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@dataclass
+class Findings:
+    """What was found out so far.
+
+    Attributes
+    ----------
+    scenes : list of SceneScores
+        Figures of the finished scenes.
+    sections : list of str
+        Their parts of the page.
+    exposure : list of ExposureChange
+    crop : list of CropChange
+    failures : Failures
+        Scenes that could not be evaluated.
+
+    """
+
+    scenes: list[SceneScores] = field(default_factory=list)
+    sections: list[str] = field(default_factory=list)
+    exposure: list[ExposureChange] = field(default_factory=list)
+    crop: list[CropChange] = field(default_factory=list)
+    failures: Failures = field(default_factory=Failures)
+
+
 def run(args: argparse.Namespace) -> None:
     """Evaluate; print the tables, write evaluation.json and evaluation.html.
 
@@ -83,35 +114,67 @@ def run(args: argparse.Namespace) -> None:
     ------
     BinocularReconError
         If the scenes cannot be found, an option is wrong, or, at the end, if scenes failed.
+    KeyboardInterrupt
+        After the finished scenes were reported.
 
     """
-    overrides = given_options(args)
-    methods = _methods(args, overrides)
+    methods = _methods(args)
     folders = find_scenes(args.dir, args.scenes)
     make_folder(args.output)
-    failures = Failures()
-    scenes: list[SceneScores] = []
-    sections: list[str] = []
-    extra: dict[str, list[Any]] = {'exposure': [], 'crop': []}
-    with ProgressBar(len(folders), 'scenes') as bar:
-        for folder in folders:
-            bar.show(len(scenes) + len(failures.errors), folder.name)
-            with failures.of(folder.name):
-                result = evaluate_scene(read_scene(folder), methods, args.repeat)
-                _test_robustness(result, methods, args, extra)
-                scenes.append(result.scores)
-                sections.append(report.scene_section(result))
-    if scenes:
-        notes, tables = _notes(scenes, failures, len(folders)), _tables(scenes, extra)
-        print('\n\n'.join([*tables, *notes]))
-        _write(args, overrides, scenes, extra, failures)
-        text = report.page('Evaluation', notes, tables, sections)
-        with complete_file(args.output / 'evaluation.html') as file:
-            file.write(text.encode())
-    failures.raise_if_any(len(folders))
+    findings, interrupted = Findings(), False
+    try:
+        with ProgressBar(len(folders), 'scenes') as bar:
+            for done, folder in enumerate(folders):
+                bar.show(done, folder.name)
+                with findings.failures.of(folder.name):
+                    _evaluate(folder, methods, args, findings)
+    except KeyboardInterrupt:
+        interrupted = True
+    if findings.scenes:
+        _report(args, findings, len(folders))
+    if interrupted:
+        done = len(findings.scenes)
+        raise KeyboardInterrupt(f'{done} of {len(folders)} scenes are in {args.output}')
+    findings.failures.raise_if_any(len(folders))
 
 
-def _methods(args: argparse.Namespace, overrides: dict[str, OptionValue]) -> list[Method]:
+def _evaluate(
+    folder: Path, methods: list[Method], args: argparse.Namespace, findings: Findings
+) -> None:
+    result = evaluate_scene(read_scene(folder), methods, args.repeat)
+    for method, estimate in zip(methods, result.estimates, strict=True):
+        disparity_px = estimate.disparity_px
+        if args.exposure:
+            findings.exposure.append(exposure_change(result.scene, method, disparity_px))
+        if args.crop and method.ours:
+            findings.crop += crop_changes(result.scene, method, disparity_px)
+    findings.sections.append(report.scene_section(result))
+    findings.scenes.append(result.scores)
+
+
+def _report(args: argparse.Namespace, findings: Findings, asked: int) -> None:
+    notes, tables = _notes(findings, asked), _tables(findings)
+    print('\n\n'.join([*tables, *notes]))
+    failures = {name: str(error) for name, error in findings.failures.errors.items()}
+    facts = {
+        'machine': machine_facts(),
+        'presets': args.presets,
+        'options': given_options(args),
+        'repeat': args.repeat,
+        'mean': summary.mean_over_scenes(findings.scenes),
+        'scenes': findings.scenes,
+        'exposure': findings.exposure,
+        'crop': findings.crop,
+        'failures': failures,
+    }
+    write_json(args.output / 'evaluation.json', summary.to_plain(facts))
+    page = report.page('Evaluation', notes, tables, findings.sections)
+    with complete_file(args.output / 'evaluation.html') as file:
+        file.write(page.encode())
+
+
+def _methods(args: argparse.Namespace) -> list[Method]:
+    overrides = given_options(args)
     methods = [] if args.no_peers else [opencv_method(peer) for peer in peers.opencv_matchers()]
     for preset in args.presets:
         if args.match_only:
@@ -122,23 +185,8 @@ def _methods(args: argparse.Namespace, overrides: dict[str, OptionValue]) -> lis
     return methods
 
 
-def _test_robustness(
-    result: SceneResult,
-    methods: list[Method],
-    args: argparse.Namespace,
-    extra: dict[str, list[Any]],
-) -> None:
-    for method, estimate in zip(methods, result.estimates, strict=True):
-        disparity_px = estimate.disparity_px
-        if args.exposure:
-            extra['exposure'].append(
-                robustness.exposure_change(result.scene, method, disparity_px)
-            )
-        if args.crop and method.ours:
-            extra['crop'] += robustness.crop_changes(result.scene, method, disparity_px)
-
-
-def _tables(scenes: list[SceneScores], extra: dict[str, list[Any]]) -> list[str]:
+def _tables(findings: Findings) -> list[str]:
+    scenes = findings.scenes
     means = summary.mean_over_scenes(scenes)
     tables = [
         summary.overview(means),
@@ -147,49 +195,30 @@ def _tables(scenes: list[SceneScores], extra: dict[str, list[Any]]) -> list[str]
         summary.depth_by_band(scenes),
         summary.sigma_honesty(scenes),
         *summary.sigma_by_bin(scenes),
-        summary.exposure_table(extra['exposure']),
-        summary.crop_table(extra['crop']),
+        summary.exposure_table(findings.exposure),
+        summary.crop_table(findings.crop),
     ]
     return [table for table in tables if table]
 
 
-def _notes(scenes: list[SceneScores], failures: Failures, asked: int) -> list[str]:
-    derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
-    unknown = [scene.scene for scene in scenes if not scene.visible_source]
+def _notes(findings: Findings, asked: int) -> list[str]:
+    scenes = findings.scenes
     notes = [HOW_MEASURED]
     if not all(score.ours for score in scenes[0].scores):
         notes += [PADDED] if peers.has_ximgproc() else [PADDED, NO_XIMGPROC]
-    if derived:
-        notes.append(
-            f'Visible and occluded are derived from the ground truth in {", ".join(derived)}.'
-        )
-    if unknown:
-        notes.append(f'Visible and occluded are not known in {", ".join(unknown)}.')
-    if failures.errors:
-        notes.append(
-            f'Not evaluated ({len(failures.errors)} of {asked}): {", ".join(failures.errors)}.'
-        )
+    derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
+    unknown = [scene.scene for scene in scenes if not scene.visible_source]
+    metric = [scene.scene for scene in scenes if scene.scores[0].depth]
+    failed = list(findings.failures.errors)
+    for names, text in (
+        (derived, 'Visible and occluded are derived from the ground truth in {}.'),
+        (unknown, 'Visible and occluded are not known in {}.'),
+        (metric, 'Depth errors are a mean over {}.'),
+        (failed, f'Not evaluated ({len(failed)} of {asked}): {{}}.'),
+    ):
+        if names:
+            notes.append(text.format(', '.join(names)))
     return notes
-
-
-def _write(
-    args: argparse.Namespace,
-    overrides: dict[str, OptionValue],
-    scenes: list[SceneScores],
-    extra: dict[str, list[Any]],
-    failures: Failures,
-) -> None:
-    facts = {
-        'machine': machine_facts(),
-        'presets': args.presets,
-        'options': overrides,
-        'repeat': args.repeat,
-        'mean': summary.mean_over_scenes(scenes),
-        'scenes': scenes,
-        **{key: values for key, values in extra.items() if values},
-        'failures': {name: str(error) for name, error in failures.errors.items()},
-    }
-    write_json(args.output / 'evaluation.json', summary.to_plain(facts))
 
 
 def _names(text: str) -> list[str]:

@@ -178,6 +178,36 @@ def test_a_broken_scene_does_not_stop_the_others(
     assert list(facts['failures']) == ['broken']
 
 
+def test_interrupted_evaluation_reports_what_is_finished(
+    scenes: Path,
+    pair: SyntheticPair,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_scene(scenes / 'square', pair, FACTS)
+
+    def read_until_square(folder: Path) -> Scene:
+        if folder.name == 'square':
+            raise KeyboardInterrupt
+        return read_scene(folder)
+
+    monkeypatch.setattr('binocular_recon.cli.evaluate.read_scene', read_until_square)
+    output = tmp_path / 'out'
+    arguments = ['evaluate', str(scenes), '--output', str(output), '--presets', 'default']
+    assert main([*arguments, '--no-peers', '--repeat', '1']) == 130
+    assert f'interrupted; 1 of 2 scenes are in {output}' in capsys.readouterr().err
+    facts = json.loads((output / 'evaluation.json').read_text())
+    assert [scene['scene'] for scene in facts['scenes']] == ['park']
+
+
+def test_nothing_to_evaluate_is_wrong_usage(
+    scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['evaluate', str(scenes), '--no-peers', '--presets', '']) == 2
+    assert 'nothing to evaluate: name a preset' in capsys.readouterr().err
+
+
 def test_several_broken_scenes_are_all_named() -> None:
     failures = Failures()
     for name in ('one', 'two'):
