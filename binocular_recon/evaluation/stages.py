@@ -35,9 +35,10 @@ SGBM_WLS = peers.OpenCvMatcher('sgbm_3way', peers.WLS_LAMBDA)
 # A rig of 1 m baseline with the field of view and the distortion of a common lens.
 _FOCAL_PER_WIDTH = 0.86
 _BASELINE_M = 1.0
+_DISTORTION = np.array([-0.12, 0.05, 4e-4, -3e-4, 0.0])
+
 # Grey levels of 255 by which two pictures of a still scene differ.
 _FRAME_NOISE = 2.0
-_DISTORTION = np.array([-0.12, 0.05, 4e-4, -3e-4, 0.0])
 
 
 @dataclass(frozen=True)
@@ -182,11 +183,11 @@ def _our_filter(bench: Bench, preset: str, *, warm: bool = False) -> Callable[[]
     initial = None
     if warm:
         random = np.random.default_rng(1)
-        last = (
+        left, right = (
             image + random.normal(0, _FRAME_NOISE, image.shape).astype(np.float32)
             for image in bench.grey
         )
-        initial = run(match(*last, config.match), None)
+        initial = run(match(left, right, config.match), None)
     return lambda: run(bench.matches[preset], initial)
 
 
