@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from binocular_recon.calibration._linearisation import marks_in_left
+from binocular_recon.calibration.advice import Advice
 from binocular_recon.calibration.distortion import Evidence
 from binocular_recon.calibration.estimation import Estimate
 from binocular_recon.calibration.screening import Rejected
@@ -95,6 +96,8 @@ class CalibrationResult:
         Boards left out and why.
     warnings : tuple of str
         What the user should know before relying on the result.
+    advice : tuple of Advice
+        Boards to capture next, best first.
 
     """
 
@@ -109,6 +112,7 @@ class CalibrationResult:
     model: str
     rejected: tuple[Rejected, ...]
     warnings: tuple[str, ...]
+    advice: tuple[Advice, ...]
 
     @property
     def calibration(self) -> StereoCalibration:
@@ -167,9 +171,9 @@ class CalibrationResult:
             self.calibration, self.estimate.problem.free, self.estimate.covariance, points
         )
         noise = matching_sigma_m(
-            self.rig.focal_px, self.rig.baseline_m, depth_m, disparity_sigma_px
+            self.rig.focal_px, self.rig.baseline_m, np.array(depth_m), disparity_sigma_px
         )
-        return float(np.sqrt(np.mean(own**2) + noise**2))
+        return float(np.hypot(np.sqrt(np.mean(own**2)), noise))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the content of ``calibration.json``."""
@@ -210,6 +214,7 @@ class CalibrationResult:
                 ],
             },
             'warnings': list(self.warnings),
+            'advice': [{**asdict(advice), 'words': str(advice)} for advice in self.advice],
         }
 
     def _boards(self) -> list[dict[str, Any]]:

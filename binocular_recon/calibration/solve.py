@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from binocular_recon.calibration._linearisation import State, predict
+from binocular_recon.calibration.advice import advise
 from binocular_recon.calibration.bundle_adjustment import Problem, free_parameters
 from binocular_recon.calibration.distortion import (
     DEFAULT_MODEL,
@@ -120,6 +121,7 @@ def solve(
         model=model,
         rejected=tuple(lost),
         warnings=warnings_of(adjusted),
+        advice=advise(adjusted),
     )
 
 

@@ -82,10 +82,11 @@ def depth_sigma_m(
 
 
 def matching_sigma_m(
-    focal_px: float, baseline_m: float, depth_m: float, disparity_sigma_px: float
-) -> float:
+    focal_px: float, baseline_m: float, depth_m: FloatArray, disparity_sigma_px: float
+) -> FloatArray:
     """Return one standard deviation of depth due to noise of the disparity, m (section 2.4)."""
-    return depth_m**2 / (focal_px * baseline_m) * disparity_sigma_px
+    sigma: FloatArray = depth_m**2 / (focal_px * baseline_m) * disparity_sigma_px
+    return sigma
 
 
 def baseline_sigma_m(calibration: StereoCalibration, free: Mask, covariance: FloatArray) -> float:

@@ -17,6 +17,7 @@ COMMANDS = {
     'reconstruct': 'a stereo bag in, point clouds and disparity maps out',
     'match': 'dense disparity of one rectified pair of picture files',
     'play': 'publish a bag on ROS 2 topics',
+    'calibrate': 'pictures of rods, or points of a flat target, to a calibrated stereo rig',
     'simulate': 'pictures of rods, or a survey scene as a bag, with ground truth',
     'evaluate': "accuracy on scenes with ground truth, against OpenCV's matchers",
     'benchmark': 'speed and memory of every stage, against its peers',

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate``: pictures of rod boards, or points of another detector, to a calibrated rig."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
+from binocular_recon.calibration.rods import load_rods
+from binocular_recon.calibration.solve import solve
+from binocular_recon.cli.progress import ProgressBar
+from binocular_recon.errors import ConfigError
+from binocular_recon.io.calibration_files import save_calibration
+from binocular_recon.io.captures import BoardReading, find_boards, read_captures
+from binocular_recon.io.points_csv import read_points
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``calibrate``."""
+    parser.add_argument(
+        'captures', nargs='?', type=Path, metavar='DIR',
+        help='folder of pictures left_NAME.png and right_NAME.png, one pair per board',
+    )  # fmt: skip
+    parser.add_argument('--rods', type=Path, help='rods.yaml: the rods in the pictures')
+    parser.add_argument(
+        '--points', type=Path, metavar='FILE.csv',
+        help='instead of pictures: points of a flat target found by another detector, with the'
+        ' columns name, side, id, X_m, Y_m, u_px, v_px',
+    )  # fmt: skip
+    parser.add_argument(
+        '--image-size', metavar='WxH', help='size of the pictures that --points were found in'
+    )
+    parser.add_argument('--output', type=Path, required=True, help='folder to write to')
+
+
+def run(args: argparse.Namespace) -> None:
+    """Calibrate and write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
+    start = time.monotonic()
+    if (args.captures is None) == (args.points is None):
+        raise ConfigError('give either a folder of pictures or --points FILE.csv')
+    result = _from_points(args) if args.points else _from_pictures(args)
+    files = save_calibration(result, args.output)
+    print(summary(result))
+    print(f'{", ".join(str(path) for path in files)} ({time.monotonic() - start:.1f} s)')
+
+
+def summary(result: CalibrationResult) -> str:
+    """Return the result in a few lines, with the paper's Table 2."""
+    lines = [f'{"board":>12} {"marks":>6} {"planar":>9} {"corrected":>9} {"adjusted":>9}  px']
+    content = result.to_mapping()
+    lines += [
+        f'{board["name"]:>12} {board["marks"]:6d} {board["uncorrected_px"]:9.3f}'
+        f' {board["corrected_px"]:9.3f} {board["adjusted_px"]:9.3f}'
+        for board in content['boards']
+    ]
+    lines += [f'left out: {board.name}: {board.reason}' for board in result.rejected]
+    lines += [f'note: {warning}' for warning in result.warnings]
+    rows = content['row_difference_px']
+    sigma, calibration = result.sigma, result.calibration
+    depths = (f'{1e3 * result.depth_sigma_m(z):.3g} mm at {z:g} m' for z in DEPTHS_M)
+    means = ', '.join(f'{name} {values["mean"]:.3f}' for name, values in rows.items())
+    lines += [
+        f'row difference, mean: {means} px',
+        f'baseline {1e3 * calibration.baseline_m:.2f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
+        f' focal length {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
+        f' {sigma["fx_left_px"]:.2g} px, stereo RMS {result.rms_px:.4f} px',
+        f'depth sigma: {", ".join(depths)}',
+    ]
+    lines += [f'next: {advice}' for advice in result.advice[:1]]
+    return '\n'.join(lines)
+
+
+def _from_pictures(args: argparse.Namespace) -> CalibrationResult:
+    if args.rods is None:
+        raise ConfigError('pictures of rods need --rods rods.yaml')
+    board = load_rods(args.rods)
+    done: list[BoardReading] = []
+    with ProgressBar(len(find_boards(args.captures)), 'boards') as bar:
+
+        def told(reading: BoardReading) -> None:
+            done.append(reading)
+            bar.show(len(done), reading.reason)
+
+        found = read_captures(args.captures, board, told)
+    return solve(found.captures, board, found.image_size, rejected=found.rejected)
+
+
+def _from_points(args: argparse.Namespace) -> CalibrationResult:
+    table = read_points(args.points)
+    if args.image_size is None:
+        width, height = table.least_size
+        print(f'pictures are taken to be {width}x{height} px; give --image-size WxH if not')
+        return solve(table.captures, table.target, table.least_size)
+    try:
+        width, height = (int(number) for number in args.image_size.split('x'))
+    except ValueError:
+        raise ConfigError(
+            f'--image-size must be WxH such as 1920x1200, got {args.image_size!r}'
+        ) from None
+    return solve(table.captures, table.target, (width, height))
