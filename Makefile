@@ -5,7 +5,7 @@
 PYTHON ?= python3
 INSTALL := $(PYTHON) requirements/install.py $(if $(filter file,$(origin PYTHON)),,--exact)
 RUN := .venv/bin/python
-PYTEST := $(RUN) -m pytest -q
+PYTEST := $(RUN) -m pytest
 
 # An environment finds the libraries of its own ROS, not of one that make was called from.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -47,10 +47,10 @@ format: setup ## format the code and mend what the linter can
 	.venv/bin/ruff check --fix
 
 unit: setup ## unit tests only
-	$(PYTEST) test/unit
+	$(PYTEST) -q test/unit
 
 kernels: setup ## kernels against their naive twins, not compiled
-	NUMBA_DISABLE_JIT=1 $(PYTEST) -m kernel -W ignore::RuntimeWarning test/unit
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m kernel -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
 jazzy:
@@ -58,7 +58,9 @@ jazzy:
 else
 jazzy: ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
-	.venv-jazzy/bin/python -m pytest -q test/unit test/system
+	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
+	    echo "CPython 3.13: with the oldest versions that have wheels for it, not Ubuntu 24.04's"
+	.venv-jazzy/bin/python -m pytest test/unit test/system
 endif
 
 colcon: setup ## build, install and test as a ROS workspace does
@@ -66,11 +68,13 @@ colcon: setup ## build, install and test as a ROS workspace does
 	.ci/colcon
 
 # OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
-evaluate: ## accuracy on scenes with ground truth against OpenCV; SCENES=folder
+SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo
+
+evaluate: ## accuracy on scenes with ground truth against OpenCV's matchers; SCENES=folder
 	@$(INSTALL) .venv-contrib contrib
 	@.venv-contrib/bin/python -m binocular_recon evaluate $(SCENES) --output out
 
-benchmark: ## speed of each stage against its peer
+benchmark: ## speed of each stage against its peers
 	@$(INSTALL) .venv-contrib contrib
 	@.venv-contrib/bin/python -m binocular_recon benchmark --output out
 

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
 import os
 import socket
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,16 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     config.stash[_left_out] = []
+
+
+def pytest_report_header() -> str:
+    """Name the versions that the results depend on."""
+    packages = ('numpy', 'scipy', 'opencv-python-headless', 'numba', 'rosbags', 'rclpy')
+    found = []
+    for package in packages:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found.append(f'{package} {importlib.metadata.version(package)}')
+    return ', '.join(found)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
