@@ -28,6 +28,9 @@ from binocular_recon.camera import FloatArray
 # A mark farther off than this many standard deviations (of both axes together) is left out: one
 # good mark in 100,000 is.
 MARK_LIMIT = 4.8
+# Smaller errors are left in, px: noise differs from board to board (distance, light, blur), and
+# the robust loss takes care of the rest.
+ERROR_FLOOR_PX = 0.25
 # A board whose typical residual is this many times that of all marks is left out.
 BOARD_LIMIT = 2.5
 # Share of a board's marks that may be left out before the whole board is.
@@ -79,6 +82,8 @@ class Fit:
     lengths : (B, R, M, 2) float64
         Residual of each mark, both axes together, in the standard deviations it should have by
         the robust noise; NaN = not found.
+    errors_px : (B, R, M, 2) float64
+        The same in px.
     sigma_px : (2,) float64
         Noise of u and v from the marks used (variance components).
     robust_sigma_px : (2,) float64
@@ -89,9 +94,15 @@ class Fit:
     """
 
     lengths: FloatArray
+    errors_px: FloatArray
     sigma_px: FloatArray
     robust_sigma_px: FloatArray
     placement_scale: FloatArray
+
+    @property
+    def outliers(self) -> Mask:
+        """Marks that do not fit, (B, R, M, 2)."""
+        return (self.lengths > MARK_LIMIT) & (self.errors_px > ERROR_FLOOR_PX)
 
 
 def estimate(problem: Problem, state: State) -> Estimate:
@@ -161,9 +172,10 @@ def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
     robust = np.maximum(typical, NOISE_FLOOR_PX / problem.sigma_px)
     redundancy = variance[used].sum(axis=0)
     components = np.sqrt((residuals[used] ** 2).sum(axis=0) / redundancy)
-    lengths = np.linalg.norm(residuals / np.sqrt(variance) / robust, axis=-1)
+    standardised = np.where(seen[..., None], residuals / np.sqrt(variance), np.nan)
     return Fit(
-        lengths=np.where(seen, lengths, np.nan),
+        lengths=np.linalg.norm(standardised / robust, axis=-1),
+        errors_px=np.linalg.norm(standardised * problem.sigma_px, axis=-1),
         sigma_px=np.maximum(components * problem.sigma_px, NOISE_FLOOR_PX),
         robust_sigma_px=robust * problem.sigma_px,
         placement_scale=_placement_scale(problem, state, joint),
@@ -185,7 +197,7 @@ def _placement_scale(problem: Problem, state: State, joint: FloatArray) -> Float
 
 def _improved(problem: Problem, given_px: FloatArray, fit: Fit) -> Problem:
     """Return the problem with outliers left out and the noise that was found."""
-    good = np.repeat(fit.lengths <= MARK_LIMIT, 2, axis=-1)
+    good = np.repeat(~fit.outliers, 2, axis=-1)
     first_guess = (np.maximum(fit.sigma_px, problem.sigma_px) > 1.5 * fit.robust_sigma_px).any()
     return replace(
         problem,
@@ -205,19 +217,22 @@ def _settled(problem: Problem, following: Problem) -> bool:
 
 def _worst_board(fit: Fit) -> int | None:
     """Return the board that fits least, None if all fit."""
-    flat = fit.lengths.reshape(len(fit.lengths), -1)
-    typical = np.nanmedian(flat, axis=1) / _MEDIAN_LENGTH
-    lost = np.mean(flat > MARK_LIMIT, axis=1) / np.mean(np.isfinite(flat), axis=1)
-    score = np.maximum(typical / BOARD_LIMIT, lost / BOARD_MARK_LOSS)
+    count = len(fit.lengths)
+    lengths, errors_px = (a.reshape(count, -1) for a in (fit.lengths, fit.errors_px))
+    typical = np.minimum(
+        np.nanmedian(lengths, axis=1) / (_MEDIAN_LENGTH * BOARD_LIMIT),
+        np.nanmedian(errors_px, axis=1) / ERROR_FLOOR_PX,
+    )
+    lost = fit.outliers.reshape(count, -1).sum(axis=1) / np.isfinite(lengths).sum(axis=1)
+    score = np.maximum(typical, lost / BOARD_MARK_LOSS)
     worst = int(np.argmax(score))
     return worst if score[worst] > 1 else None
 
 
 def _reason(fit: Fit, board: int) -> str:
-    lengths = fit.lengths[board][np.isfinite(fit.lengths[board])]
-    lost = int((lengths > MARK_LIMIT).sum())
+    errors_px = fit.errors_px[board][np.isfinite(fit.errors_px[board])]
     return (
-        f'its marks are {np.median(lengths) / _MEDIAN_LENGTH:.1f} times as far off as those of the'
-        f' other boards ({lost} of {lengths.size} beyond {MARK_LIMIT} sigma); a rod moved between'
-        ' the two pictures, or they are blurred'
+        f'its marks are off by {np.median(errors_px):.2g} px, those of all boards by'
+        f' {np.nanmedian(fit.errors_px):.2g} px; a rod moved between its two pictures, or they'
+        ' are blurred'
     )
