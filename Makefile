@@ -81,8 +81,10 @@ benchmark: ## speed of each stage against its peers
 docs: setup ## docs/nodes.md from what the nodes declare
 	$(RUN) docs/make_nodes.py
 
-lock: ## resolve requirements/*.txt again; needs python3.10 to python3.13
-	@$(PYTHON) requirements/lock.py python3.10 python3.11 python3.12 python3.13
+PYTHONS ?= python3.10 python3.11 python3.12 python3.13
+
+lock: ## resolve requirements/*.txt again with each of PYTHONS
+	@$(PYTHON) requirements/lock.py $(PYTHONS)
 
 clean: ## what was built or computed; environments stay
 	rm -rf build dist install log out *.egg-info .mypy_cache .pytest_cache .ruff_cache

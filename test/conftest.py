@@ -7,6 +7,7 @@ import importlib.metadata
 import importlib.util
 import os
 import socket
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -36,11 +37,14 @@ def _claim_domain() -> tuple[int, socket.socket]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep the graph of this run, and of the processes it starts, to itself."""
+    """Keep the ROS graph and the compiled kernels of this run, and of its processes, apart."""
     domain, config.stash[_domain_claim] = _claim_domain()
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     config.stash[_left_out] = []
+    if sys.prefix != sys.base_prefix:
+        # Beside the sources, the numba of one environment would discard what another's compiled.
+        os.environ.setdefault('NUMBA_CACHE_DIR', str(Path(sys.prefix, 'numba_cache')))
 
 
 def pytest_report_header() -> str:
@@ -75,7 +79,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in without]
         config.hook.pytest_deselected(items=without)
         if without:
-            config.stash[_left_out].append(f'{len(without)} tests not run: {reason}')
+            config.stash[_left_out].append(f'tests not run: {len(without)}; {reason}')
 
 
 def _needs(item: pytest.Item) -> set[str]:
