@@ -104,7 +104,7 @@ def _other_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
             ['match, ns per pixel and disparity', *map(str, sizes)],
             [[name, *(figure(value, 3) for value in values)] for name, values in grown.items()],
         ),
-        _direct_table(results, sizes[0]),
+        _direct_table(results),
         markdown_table(
             [f'peak memory of a match at {sizes[-1]}', 'MB', 'bytes per pixel and disparity'],
             [
@@ -116,8 +116,13 @@ def _other_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
     ]
 
 
-def _direct_table(results: Results, size: Size) -> str:
-    header = [f'exact WLS at {size}', 'direct solver ms', 'ours ms', 'iterations']
+def _direct_table(results: Results) -> str:
+    header = [
+        f'exact WLS at {results.direct[0]["size"]}',
+        'direct solver ms',
+        'ours ms',
+        'iterations',
+    ]
     header += ['largest error px', 'its estimate px']
     rows = [
         [

@@ -55,8 +55,8 @@ class Results:
     timings : list of Timing
         By stage, size and contestant.
     direct : list of dict
-        Per preset, at the smallest size: time of SciPy's direct solver and the largest difference
-        between our filter's solution and its.
+        Per preset, at the smallest size (at most the smallest of `SIZES`: the time of a direct
+        solver explodes): its time and the largest difference between our solution and its.
     memory : list of dict
         Per preset, at the largest size: `probe.peak_memory`.
     first_call : list of dict
@@ -101,10 +101,10 @@ def benchmark(
         for stage, contestants in STAGES.items():
             progress(next(steps), f'{stage} at {size}')
             results.timings += time_stage(stage, bench, contestants(bench), repeat)
-        if size == sizes[0]:
-            for preset in presets:
-                progress(next(steps), f'direct solver, {preset}')
-                results.direct.append(direct.compare(bench, preset))
+    small = min(sizes[0], SIZES[0], key=lambda size: size.width * size.height)
+    for preset in presets:
+        progress(next(steps), f'direct solver, {preset}')
+        results.direct.append(direct.compare(Bench(small, presets), preset))
     for preset in presets:
         progress(next(steps), f'memory of a match, {preset}')
         memory = probe.peak_memory(preset, *sizes[-1].numbers)
