@@ -33,6 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--clock', action='store_true', help='publish the time of recording as /clock, at 100 Hz'
     )
     parser.add_argument(
+        '--delay',
+        type=positive(float),
+        default=0.0,
+        metavar='SECONDS',
+        help='least time before the first message; without it playing starts when the subscribers'
+        ' there are have been found, or after 2 s',
+    )
+    parser.add_argument(
         '--ros-args',
         nargs=argparse.REMAINDER,
         default=[],
@@ -57,4 +65,11 @@ def run(args: argparse.Namespace) -> None:
         )
     from binocular_recon.nodes.play_bag import play
 
-    play(args.bag, rate=args.rate, loop=args.loop, clock=args.clock, ros_args=args.ros_args)
+    play(
+        args.bag,
+        rate=args.rate,
+        loop=args.loop,
+        clock=args.clock,
+        delay_s=args.delay,
+        ros_args=args.ros_args,
+    )

@@ -25,6 +25,8 @@ from binocular_recon.io.bags import Bag, Topic
 
 # How long the start waits for subscribers, the end for the last messages to be acknowledged.
 _START_WITHIN_S, _END_WITHIN_S = 2.0, 5.0
+# A publisher knows its subscribers a little earlier than they know it.
+_SETTLING_S = 0.5
 _CLOCK_PERIOD_S = 0.01
 # Between rounds of a recording too short to have a period of its own.
 _ROUND_PAUSE_S = 1.0
@@ -36,6 +38,7 @@ def play(
     rate: float = 1.0,
     loop: bool = False,
     clock: bool = False,
+    delay_s: float = 0.0,
     ros_args: Sequence[str] = (),
 ) -> None:
     """Publish the messages of a bag.
@@ -50,6 +53,9 @@ def play(
         Whether to begin again at the end, until interrupted.
     clock : bool
         Whether to publish the time of recording as ``/clock``.
+    delay_s : float
+        Least time before the first message: subscribers on a busy machine or a slow network may
+        need it.
     ros_args : sequence of str
         What follows ``--ros-args`` on a node's command line.
 
@@ -72,7 +78,9 @@ def play(
         try:
             player = Player(node, bag, rate=rate, clock=clock)
             node.get_logger().info(player.describe())
+            start_s = time.monotonic() + delay_s
             player.wait_for_subscribers()
+            time.sleep(max(0.0, start_s - time.monotonic()))
             for _ in itertools.count() if loop else (0,):
                 player.play_once()
                 if loop:
@@ -133,9 +141,10 @@ class Player:
 
     def wait_for_subscribers(self) -> None:
         """Return when all topics have matched all subscribers there are, or after a while."""
-        deadline = time.monotonic() + _START_WITHIN_S
+        deadline = time.monotonic() + _START_WITHIN_S - _SETTLING_S
         while time.monotonic() < deadline and not all(map(self._is_matched, self._publishers)):
             time.sleep(0.02)
+        time.sleep(_SETTLING_S)
 
     def play_once(self) -> None:
         """Publish every message when it is due; late ones follow at once."""

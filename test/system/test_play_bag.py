@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag played over DDS: its bytes, order, timing and QoS."""
+
+from __future__ import annotations
+
+import functools
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+
+from binocular_recon.io.bag_writer import BagWriter
+from binocular_recon.io.bags import Bag, TopicQos
+from binocular_recon.nodes.play_bag import Player
+from test.bag_tools import PERIOD_NS, START_NS, info_message, rig, stereo_records, write_bag
+from test.system.graph import Graph, wait_until
+
+PLAY_BAG = Path(sys.executable).parent / 'play_bag'
+QOS = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
+TYPES = {'image_raw': Image, 'camera_info': CameraInfo}
+TOPICS = [f'/{side}/{name}' for side in ('left', 'right') for name in TYPES]
+
+# when it came, topic, bytes
+Arrival = tuple[float, str, bytes]
+
+
+@contextmanager
+def listening(graph: Graph, *topics: str) -> Iterator[list[Arrival]]:
+    """Take the serialised messages of topics."""
+    arrivals: list[Arrival] = []
+    subscriptions = [
+        graph.node.create_subscription(
+            TYPES[topic.split('/')[-1]],
+            topic,
+            lambda data, topic=topic: arrivals.append((time.monotonic(), topic, bytes(data))),
+            QOS,
+            raw=True,
+        )
+        for topic in topics
+    ]
+    yield arrivals
+    for subscription in subscriptions:
+        graph.node.destroy_subscription(subscription)
+
+
+def play(bag: Path, *options: str) -> subprocess.Popen[str]:
+    command = [str(PLAY_BAG), str(bag), *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def finish(process: subprocess.Popen[str], status: int = 0) -> str:
+    """Wait for the end and return the log."""
+    log, _ = process.communicate(timeout=30)
+    assert process.returncode == status, log
+    assert 'Traceback' not in log, log
+    return log
+
+
+def recorded(bag: Path, topic: str) -> list[bytes]:
+    """Return a topic's messages as DDS delivers them, padded to a multiple of four bytes."""
+    with Bag(bag) as opened:
+        messages = [m.cdr for m in opened.messages() if m.topic.name == topic]
+    return [data + bytes(-len(data) % 4) for data in messages]
+
+
+# Where messages must not be missed the player loops, for on a busy machine the test may know it
+# only when the first of them are gone, or waits longer than it would.
+
+
+@pytest.mark.parametrize('fmt', ['mcap, chunks compressed', 'sqlite3', 'ros1, lz4'])
+def test_a_loop_repeats_bytes_order_and_timing_until_interrupted(
+    graph: Graph, tmp_path: Path, fmt: str
+) -> None:
+    bag = write_bag(tmp_path / 'bag', stereo_records(5), fmt)
+    with listening(graph, *TOPICS) as arrivals:
+        process = play(bag, '--loop', '--rate', '2')
+        wait_until(lambda: len(arrivals) >= 4 * 20, 'four rounds')
+        process.send_signal(signal.SIGINT)
+        log = finish(process, 130)
+    assert f'playing {bag} at 2 x its speed' in log
+    assert log.rstrip().endswith('interrupted')
+    for topic in TOPICS:
+        sent = recorded(bag, topic)
+        came = [(at, data) for at, name, data in arrivals if name == topic]
+        first = [data for _, data in came].index(sent[0])
+        assert [data for _, data in came[first : first + 10]] == sent * 2
+        # between the rounds as within them
+        gaps_s = np.diff([at for at, _ in came[first : first + 10]])
+        assert np.median(gaps_s) == pytest.approx(PERIOD_NS / 1e9 / 2, abs=0.01)
+
+
+def test_timing_is_that_of_the_recording(graph: Graph, tmp_path: Path) -> None:
+    rate = 2.5
+    stamps_ns = START_NS + np.cumsum([0, 50, 300, 20, 20, 400, 110, 250]) * 1_000_000
+    records = [('/left/camera_info', info_message(rig().left, int(s)), int(s)) for s in stamps_ns]
+    bag = write_bag(tmp_path / 'bag', records)
+    with listening(graph, '/left/camera_info') as arrivals:
+        finish(play(bag, '--rate', str(rate), '--delay', '3'))
+        wait_until(lambda: len(arrivals) == len(records), 'all messages')
+    late_s = np.array([came for came, _, _ in arrivals]) - (stamps_ns - START_NS) / 1e9 / rate
+    late_s -= late_s.min()
+    # the machine may be busy now and then
+    assert np.median(late_s) < 0.03
+    assert late_s.max() < 0.3
+
+
+def test_clock_is_the_time_of_recording(graph: Graph, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'bag', stereo_records(6))
+    inbox = graph.inbox('/clock', Clock, QOS)
+    finish(play(bag, '--clock', '--rate', '0.5', '--delay', '3'))
+    clock_ns = [m.clock.sec * 1_000_000_000 + m.clock.nanosec for m in inbox.messages]
+    assert clock_ns == sorted(clock_ns)
+    stamps_ns = [stamp_ns for _, _, stamp_ns in stereo_records(6)]
+    assert set(stamps_ns) <= set(clock_ns)
+    assert (clock_ns[0], clock_ns[-1]) == (min(stamps_ns), max(stamps_ns))
+    # 100 Hz of real time over 1 s
+    assert 50 <= len(clock_ns) <= 130
+
+
+def test_quality_of_service_is_that_of_the_recording(graph: Graph, tmp_path: Path) -> None:
+    info = info_message(rig().left, START_NS)
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write('/latched/camera_info', info, START_NS, TopicQos(transient_local=True))
+        writer.write('/lossy/camera_info', info, START_NS, TopicQos(reliable=False))
+    process = play(tmp_path / 'bag', '--loop')
+    offers = []
+    for topic in ('/latched/camera_info', '/lossy/camera_info'):
+        offered = functools.partial(graph.node.get_publishers_info_by_topic, topic)
+        (offer,) = wait_until(offered, f'{topic} offered')
+        offers.append(offer.qos_profile)
+    process.send_signal(signal.SIGTERM)
+    finish(process, 130)
+    latched, lossy = offers
+    assert latched.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert latched.reliability == ReliabilityPolicy.RELIABLE
+    assert lossy.durability == DurabilityPolicy.VOLATILE
+    assert lossy.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+def write_with_unknown_type(path: Path, *, known: bool) -> Path:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        odd = writer.add_connection(
+            '/odd', 'odd_msgs/msg/Odd', msgdef='uint8 x\n', rihs01='RIHS01_' + '0' * 64
+        )
+        for stamp_ns in range(3):
+            writer.write(odd, stamp_ns, b'\0\1\0\0\x07')
+    if known:
+        part = write_bag(path.with_name('part'), stereo_records(1))
+        (part / 'part.mcap').rename(path / 'part.mcap')
+        (path / 'metadata.yaml').unlink()
+    return path
+
+
+def test_types_that_are_not_installed_are_named_once(graph: Graph, tmp_path: Path) -> None:
+    bag = write_with_unknown_type(tmp_path / 'bag', known=True)
+    remaps = ['--ros-args', '-r', '/left/image_raw:=/cam/image_raw']
+    with listening(graph, '/cam/image_raw', '/right/image_raw') as arrivals:
+        process = play(bag, '--loop', '--rate', '1e6', *remaps)
+        wait_until(lambda: len({topic for _, topic, _ in arrivals}) == 2, 'the other topics')
+        process.send_signal(signal.SIGINT)
+        log = finish(process, 130)
+    assert log.count('/odd is left out: its type odd_msgs/msg/Odd is not installed') == 1
+
+
+def test_a_bag_of_such_types_only_is_refused(tmp_path: Path) -> None:
+    log = finish(play(write_with_unknown_type(tmp_path / 'bag', known=False)), 1)
+    assert 'none of its types is installed: odd_msgs/msg/Odd' in log
+
+
+def test_what_precedes_the_damage_is_played(graph: Graph, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / 'bag', stereo_records(80))
+    file = bag / 'bag.mcap'
+    file.write_bytes(file.read_bytes()[:2_500_000])
+    with listening(graph, '/left/image_raw') as arrivals:
+        log = finish(play(bag, '--rate', '10', '--delay', '3'), 1)
+        wait_until(lambda: len(arrivals) > 30, 'the messages before the damage')
+    assert 'is damaged (it ends at byte 2500000, inside a record)' in log.splitlines()[-1]
+
+
+class FakePublisher:
+    def __init__(self, matched_at_s: float) -> None:
+        self.matched_at_s = matched_at_s
+
+    def get_subscription_count(self) -> int:
+        return int(time.monotonic() >= self.matched_at_s)
+
+
+@pytest.mark.parametrize(
+    ('matched_after_s', 'starts_after_s'),
+    [((0.0, 0.0), 0.5), ((0.1, 0.4), 0.9), ((0.0, 9.0), 2.0)],
+)
+def test_playing_starts_when_subscribers_have_matched_or_after_two_seconds(
+    graph: Graph, tmp_path: Path, matched_after_s: tuple[float, float], starts_after_s: float
+) -> None:
+    records = [record for record in stereo_records(1) if 'info' in record[0]]
+    with Bag(write_bag(tmp_path / 'bag', records)) as bag:
+        player = Player(graph.node, bag)
+        start_s = time.monotonic()
+        for topic, after_s in zip(bag.topics, matched_after_s, strict=True):
+            player._publishers[topic] = FakePublisher(start_s + after_s)  # type: ignore[assignment]
+        player.wait_for_subscribers()
+    assert time.monotonic() - start_s == pytest.approx(starts_after_s, abs=0.15)
