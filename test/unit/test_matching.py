@@ -21,6 +21,7 @@ from binocular_recon.stereo.matching import (
 )
 from test import naive_ncc
 
+pytestmark = pytest.mark.kernel
 FloatImage = npt.NDArray[np.float32]
 REFERENCE = Path(__file__).parents[1] / 'data' / 'ncc.npz'
 
