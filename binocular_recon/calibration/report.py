@@ -13,7 +13,11 @@ from binocular_recon import __version__
 from binocular_recon.calibration import _report_charts as charts
 from binocular_recon.calibration._report_charts import METHODS
 from binocular_recon.calibration.mark_errors import mark_errors_m
-from binocular_recon.calibration.result import DISPARITY_SIGMA_PX, CalibrationResult, Stage
+from binocular_recon.calibration.result import (
+    DISPARITY_SIGMA_PX,
+    CalibrationResult,
+    row_statistics,
+)
 
 _UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
@@ -133,14 +137,13 @@ def _methods(result: CalibrationResult) -> str:
 
 
 def _rows(result: CalibrationResult) -> str:
-    uncorrected = Stage(*(result.uncorrected_rows_px,) * 3)
     rows = []
-    for name, stage in (
-        ('uncorrected', uncorrected),
-        ('corrected (planar calibration)', result.corrected),
-        ('adjusted calibration', result.adjusted),
+    for name, differences in (
+        ('uncorrected', result.uncorrected_rows_px),
+        ('corrected (planar calibration)', result.corrected.row_difference_px),
+        ('adjusted calibration', result.adjusted.row_difference_px),
     ):
-        statistics = stage.row_statistics()
+        statistics = row_statistics(differences)
         rows.append((name, f'{statistics["mean"]:.3f}', f'{statistics["max"]:.3f}'))
     return _section(
         'Rows of the two pictures',

@@ -37,6 +37,8 @@ class Stage:
 
     Attributes
     ----------
+    calibration : StereoCalibration
+        Both cameras; those of the corrected pictures in the stage ``corrected``.
     residuals_px : (B, R, M, 4) float64
         Observed - predicted in the original pictures (left u, v, right u, v); NaN = not used.
     marks_m : (B, R, M, 3) float64
@@ -47,6 +49,7 @@ class Stage:
 
     """
 
+    calibration: StereoCalibration
     residuals_px: FloatArray
     marks_m: FloatArray
     row_difference_px: FloatArray
@@ -65,11 +68,6 @@ class Stage:
     def error_px(self) -> float:
         """Reprojection error of all boards, px, root mean square per image axis."""
         return float(np.sqrt(np.nanmean(self.residuals_px**2)))
-
-    def row_statistics(self) -> dict[str, float]:
-        """Return mean and largest row difference, px."""
-        rows = np.abs(self.row_difference_px)
-        return {'mean': float(np.nanmean(rows)), 'max': float(np.nanmax(rows))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +190,9 @@ class CalibrationResult:
             },
             'boards': self._boards(),
             'row_difference_px': {
-                'uncorrected': _statistics(self.uncorrected_rows_px),
-                'corrected': self.corrected.row_statistics(),
-                'adjusted': self.adjusted.row_statistics(),
+                'uncorrected': row_statistics(self.uncorrected_rows_px),
+                'corrected': row_statistics(self.corrected.row_difference_px),
+                'adjusted': row_statistics(self.adjusted.row_difference_px),
             },
             'rejected': [{'name': board.name, 'reason': board.reason} for board in self.rejected],
             'rms_px': self.rms_px,
@@ -232,10 +230,12 @@ class CalibrationResult:
         ]
 
 
+def row_statistics(row_difference_px: FloatArray) -> dict[str, float]:
+    """Return mean and largest row difference, px."""
+    rows = np.abs(row_difference_px)
+    return {'mean': float(np.nanmean(rows)), 'max': float(np.nanmax(rows))}
+
+
 def _camera(calibration: StereoCalibration, side: str) -> dict[str, Any]:
     K, D, _, _ = calibration.side(side)
     return {'K': K.tolist(), 'D': (D if D[5:].any() else D[:5]).tolist()}
-
-
-def _statistics(rows: FloatArray) -> dict[str, float]:
-    return Stage(rows, rows, rows).row_statistics()

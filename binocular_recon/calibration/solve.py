@@ -101,6 +101,7 @@ def solve(
     planar = calibrate_planar(used, target, image_size)
     recalibrated = recalibrate(used, target, planar.calibration)
     corrected = Stage(
+        calibration=recalibrated.state.calibration,
         residuals_px=used - recalibrated.predicted_px,
         marks_m=triangulated(recalibrated.state.calibration, recalibrated.corrected_px),
         row_difference_px=_rows(
@@ -163,6 +164,7 @@ def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, .
 
 def _stage(state: State, target: Target, used: FloatArray, rig: StereoRig) -> Stage:
     return Stage(
+        calibration=state.calibration,
         residuals_px=used - predict(state, target),
         marks_m=triangulated(state.calibration, used),
         row_difference_px=_rows(

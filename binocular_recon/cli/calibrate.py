@@ -12,8 +12,10 @@ from binocular_recon.calibration.rods import load_rods
 from binocular_recon.calibration.solve import solve
 from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.errors import ConfigError
+from binocular_recon.evaluation.calibration_check import self_check
 from binocular_recon.io.calibration_files import save_calibration
 from binocular_recon.io.captures import BoardReading, find_boards, read_captures
+from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.points_csv import read_points
 
 
@@ -32,11 +34,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--image-size', metavar='WxH', help='size of the pictures that --points were found in'
     )
+    parser.add_argument(
+        '--self-check', action='store_true',
+        help='instead of calibrating: compare the method with the best possible one on simulated'
+        ' boards, and redo the tables of the paper that concern it',
+    )  # fmt: skip
+    parser.add_argument('--sets', type=int, default=20, help='of --self-check: sets of boards')
+    parser.add_argument('--draws', type=int, default=5, help='of --self-check: draws per set')
     parser.add_argument('--output', type=Path, required=True, help='folder to write to')
 
 
 def run(args: argparse.Namespace) -> None:
     """Calibrate and write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
+    if args.self_check:
+        make_folder(args.output)
+        rows = self_check(args.sets, args.draws, lambda line: print(line, flush=True))
+        write_json(args.output / 'self_check.json', rows)
+        return
     start = time.monotonic()
     if (args.captures is None) == (args.points is None):
         raise ConfigError('give either a folder of pictures or --points FILE.csv')
@@ -63,9 +77,11 @@ def summary(result: CalibrationResult) -> str:
     means = ', '.join(f'{name} {values["mean"]:.3f}' for name, values in rows.items())
     lines += [
         f'row difference, mean: {means} px',
-        f'baseline {1e3 * calibration.baseline_m:.2f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
-        f' focal length {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
-        f' {sigma["fx_left_px"]:.2g} px, stereo RMS {result.rms_px:.4f} px',
+        (
+            f'baseline {1e3 * calibration.baseline_m:.2f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
+            f' focal length {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
+            f' {sigma["fx_left_px"]:.2g} px, stereo RMS {result.rms_px:.4f} px'
+        ),
         f'depth sigma: {", ".join(depths)}',
     ]
     lines += [f'next: {advice}' for advice in result.advice[:1]]
