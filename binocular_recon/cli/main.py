@@ -20,7 +20,6 @@ COMMANDS = {
     'calibrate': 'pictures of rods, or points of a flat target, to a calibrated stereo rig',
     'simulate': 'pictures of rods, or a survey scene as a bag, with ground truth',
     'evaluate': "accuracy on scenes with ground truth, against OpenCV's matchers",
-    'benchmark': 'time of each stage at several sizes, against its peer',
     'benchmark': 'speed and memory of every stage, against its peers',
 }
 

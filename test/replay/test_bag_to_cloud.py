@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a bag to clouds without ROS: bounds in px and mm."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.cli.main import main
+from binocular_recon.io.bag_writer import BagWriter, write_pair
+from binocular_recon.io.bags import Bag
+from binocular_recon.io.calibration_yaml import write_camera
+from binocular_recon.io.disparity_png import read_disparity_png
+from binocular_recon.io.image_files import read_image_file
+from binocular_recon.io.pfm import read_pfm
+
+BAGS = Path(__file__).parents[2] / 'bags'
+VERTEX = np.dtype([('xyz', '<f4', 3), ('rgb', 'u1', 3), ('sigma_z', '<f4')])
+
+FloatImage = npt.NDArray[np.float32]
+
+# A wall that slants from 5 to 9 m, seen by a rig with distortion, a turn between the cameras and
+# different principal points.
+WIDTH, HEIGHT, FOCAL_PX, BASELINE_M, OFFSET_PX = 320, 240, 300.0, 0.6, -3.2
+START_NS, PERIOD_NS = 1_600_000_000_000_000_000, 100_000_000
+
+
+def read_ply(path: Path) -> Any:
+    """Return the vertices of a PLY file; shares nothing with what writes it."""
+    header, _, body = path.read_bytes().partition(b'end_header\n')
+    vertices = np.frombuffer(body, VERTEX)
+    assert f'element vertex {len(vertices)}\n'.encode() in header
+    return vertices
+
+
+def raw_rig() -> StereoRig:
+    cameras = []
+    for cx, tx, turn in ((160.0, 0.0, 0.02), (163.2, -FOCAL_PX * BASELINE_M, -0.01)):
+        K = np.array([[310.0, 0, 155], [0, 310, 125], [0, 0, 1]])
+        P = np.array([[FOCAL_PX, 0, cx, tx], [0, FOCAL_PX, 118.0, 0], [0, 0, 1, 0]])
+        R = cv2.Rodrigues(np.array([turn, 2 * turn, -turn]))[0]
+        D = np.array([-0.12, 0.05, 1e-3, -5e-4, 0.0])
+        cameras.append(Camera(WIDTH, HEIGHT, K, D, R, P))
+    return StereoRig(*cameras)
+
+
+def true_disparity(x_left: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return x_left - x_right of the wall; a plane's disparity is linear in the picture."""
+    return OFFSET_PX + 20.0 + 16.0 * (x_left / WIDTH)
+
+
+def raw_picture(camera: Camera, index: int, *, right: bool) -> npt.NDArray[np.uint8]:
+    """Return what a camera sees of the wall's texture."""
+    columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
+    raw = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    rectified = cv2.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
+    x, y = rectified.reshape(HEIGHT, WIDTH, 2).transpose(2, 0, 1)
+    if right:  # x_right = x_left - OFFSET_PX - 20 - 16 / WIDTH x_left
+        x = (x + OFFSET_PX + 20.0) / (1 - 16.0 / WIDTH)
+    noise = np.random.default_rng(index).integers(0, 256, (300, 500, 3), np.uint8)
+    texture = cv2.GaussianBlur(cv2.resize(noise, None, fx=2, fy=2), (0, 0), 2.0)
+    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX)
+    # two texture pixels per pixel
+    maps = [(2 * at + 150).astype(np.float32) for at in (x, y)]
+    return np.asarray(cv2.remap(texture, *maps, cv2.INTER_CUBIC), np.uint8)
+
+
+def write_wall(path: Path, frames: int = 2) -> Path:
+    rig = raw_rig()
+    with BagWriter(path) as writer:
+        for index in range(frames):
+            pair = (
+                raw_picture(rig.left, index, right=False),
+                raw_picture(rig.right, index, right=True),
+            )
+            write_pair(writer, rig, pair, START_NS + index * PERIOD_NS)
+    return path
+
+
+@pytest.fixture(scope='module')
+def wall(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return the bag and what `reconstruct` made of it."""
+    folder = tmp_path_factory.mktemp('wall')
+    bag = write_wall(folder / 'bag')
+    words = ['reconstruct', str(bag), '--output', str(folder / 'out'), '--disparity-range', '48']
+    assert main([*words, '--pictures']) == 0
+    return bag, folder / 'out'
+
+
+def test_disparity_of_raw_distorted_pictures_is_that_of_the_wall(wall: tuple[Path, Path]) -> None:
+    for index in range(2):
+        disparity_px = read_pfm(wall[1] / f'{index:06d}_disparity.pfm')
+        error_px = np.abs(disparity_px - true_disparity(np.arange(WIDTH, dtype=float)))
+        inner = error_px[24:-24, 48:-24]
+        assert np.median(inner) < 0.06
+        assert np.mean(inner < 0.3) > 0.97
+
+
+def test_cloud_is_the_wall_to_millimetres(wall: tuple[Path, Path]) -> None:
+    vertices = read_ply(wall[1] / '000000.ply')
+    x, y, z = vertices['xyz'].astype(float).T
+    u, v = FOCAL_PX * x / z + 160.0, FOCAL_PX * y / z + 118.0
+    inner = (u > 48) & (u < WIDTH - 24) & (v > 24) & (v < HEIGHT - 24)
+    truth_m = FOCAL_PX * BASELINE_M / (true_disparity(u) - OFFSET_PX)
+    error_mm = 1000 * np.abs(z - truth_m)[inner]
+    # 0.1 px is 14 mm at 5 m and 45 mm at 9 m
+    assert np.median(error_mm) < 15
+    assert np.percentile(error_mm, 95) < 80
+    sigma_mm = 1000 * vertices['sigma_z'][inner]
+    assert 3 < np.median(sigma_mm) < 300
+    # near things lie to the right
+    assert np.median(z[inner & (u < 80)]) > np.median(z[inner & (u > 260)]) + 2
+
+
+def test_summary_says_what_was_done(wall: tuple[Path, Path]) -> None:
+    bag, output = wall
+    summary = json.loads((output / 'summary.json').read_text())
+    frames = summary['frames']
+    assert [frame['index'] for frame in frames] == [0, 1]
+    assert [frame['stamp_ns'] for frame in frames] == [START_NS, START_NS + PERIOD_NS]
+    for frame in frames:
+        assert frame['density'] == 1.0
+        z = read_ply(output / f'{frame["index"]:06d}.ply')['xyz'][:, 2]
+        assert frame['points'] == len(z)
+        expected = {'min': z.min(), 'median': np.median(z), 'max': z.max()}
+        assert frame['depth_m'] == pytest.approx(expected, abs=1e-3)
+        assert 0 < frame['seconds'] < 60
+    assert summary['preset'] == 'default'
+    assert summary['options']['match']['disparity_range'] == 48
+    assert summary['source']['bag'] == str(bag)
+    assert summary['calibration']['baseline_m'] == pytest.approx(BASELINE_M)
+    assert summary['calibration']['disparity_offset_px'] == pytest.approx(OFFSET_PX)
+    assert summary['calibration']['left']['D'] == raw_rig().left.D.tolist()
+    assert summary['left_out'] == summary['damage'] == []
+    assert summary['finished'] is True
+    assert {'binocular_recon', 'python', 'numpy', 'opencv', 'rosbags'} <= set(summary['versions'])
+    names = {path.name for path in output.iterdir()}
+    endings = ('.ply', '_disparity.pfm', '_disparity.png', '_cloud.png')
+    assert names == {'summary.json'} | {f'00000{i}{ending}' for i in (0, 1) for ending in endings}
+    assert read_image_file(output / '000000_disparity.png').shape == (HEIGHT, WIDTH, 3)
+
+
+def test_a_calibration_folder_replaces_that_of_the_bag(
+    wall: tuple[Path, Path], tmp_path: Path
+) -> None:
+    rig = raw_rig()
+    left = Camera(WIDTH, HEIGHT, rig.left.K, rig.left.D, rig.left.R, rig.left.P)
+    P = rig.right.P * np.array([[1, 1, 1, 0.5]])
+    right = Camera(WIDTH, HEIGHT, rig.right.K, rig.right.D, rig.right.R, P)
+    write_camera(tmp_path / 'left.yaml', left, 'left')
+    write_camera(tmp_path / 'right.yaml', right, 'right')
+    words = ['--calibration', str(tmp_path), '--max-frames', '1', '--disparity-range', '48']
+    out = tmp_path / 'out'
+    assert main(['reconstruct', str(wall[0]), '--output', str(out), *words]) == 0
+    half, whole = (read_ply(folder / '000000.ply')['xyz'] for folder in (out, wall[1]))
+    assert not (out / '000001.ply').exists()
+    np.testing.assert_allclose(half, whole / 2, rtol=1e-4)
+
+
+@pytest.fixture(scope='module')
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp('demo')
+    assert main(['demo', '--output', str(output)]) == 0
+    return output
+
+
+def test_demo_reaches_its_figures(demo: Path) -> None:
+    summary = json.loads((demo / 'summary.json').read_text())
+    (frame,) = summary['frames']
+    assert frame['density'] == 1.0
+    assert summary['preset'] == 'default'
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    known = np.isfinite(truth_px)
+    error_px = np.abs(read_pfm(demo / '000000_disparity.pfm') - truth_px)[known]
+    bad_percent = 100 * np.mean(error_px > 2)
+    assert bad_percent <= 16.0
+    assert summary['accuracy']['bad-2.0 %'] == pytest.approx(bad_percent, abs=0.006)
+
+
+def test_demo_cloud_is_metric(demo: Path) -> None:
+    # Z = f B / (d + doffs), as Middlebury's calibration file defines it
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    truth_m = 999.421 * 0.193001 / (truth_px + 32.778)
+    vertices = read_ply(demo / '000000.ply')
+    assert len(vertices) == truth_px.size
+    z = vertices['xyz'][:, 2].reshape(truth_px.shape)
+    error_mm = 1000 * np.abs(z - truth_m)[np.isfinite(truth_m)]
+    assert np.median(error_mm) < 15
+    left = read_image_file(demo / '000000_cloud.png')[:, : truth_px.shape[1]]
+    np.testing.assert_array_equal(vertices['rgb'].reshape(left.shape), left[..., ::-1])
+
+
+def test_the_shipped_files_are_those_of_the_readme() -> None:
+    sums = re.findall(r'^([0-9a-f]{64})  (\S+)$', (BAGS / 'README.md').read_text(), re.MULTILINE)
+    assert {name for _, name in sums} == {
+        str(path.relative_to(BAGS)) for path in BAGS.glob('*/*') if path.is_file()
+    }
+    for checksum, name in sums:
+        assert hashlib.sha256((BAGS / name).read_bytes()).hexdigest() == checksum, name
+    assert sum(path.stat().st_size for path in BAGS.rglob('*') if path.is_file()) < 6e6
+
+
+def test_the_shipped_bag_can_be_made_again(shared_data: Path, tmp_path: Path) -> None:
+    script = runpy.run_path(str(BAGS / 'make_motorcycle.py'))
+    script['make'](shared_data / 'stereo' / 'motorcycle', tmp_path)
+    with Bag(BAGS / 'motorcycle') as shipped, Bag(tmp_path / 'motorcycle') as made:
+        assert list(shipped.messages()) == list(made.messages())
+    for name in ('disparity.png', 'visible.png'):
+        one, other = (read_image_file(x / 'motorcycle_truth' / name) for x in (BAGS, tmp_path))
+        np.testing.assert_array_equal(one, other)
+    truth_px = read_pfm(shared_data / 'stereo' / 'motorcycle' / 'disparity.pfm')
+    kept_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    np.testing.assert_allclose(kept_px, truth_px, atol=0.002)
