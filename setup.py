@@ -32,7 +32,7 @@ setup(
         'numpy>=1.26,<3',
         'opencv-python-headless>=4.6.0.66,<6',
         'PyYAML>=6',
-        'rosbags>=0.11,<0.12',
+        'rosbags>=0.11.9,<0.12',
         'scipy>=1.11.4',
     ],
     extras_require={'test': ['pytest', 'pytest-timeout']},
