@@ -169,15 +169,18 @@ class Bag(AbstractContextManager['Bag']):
                 return
         files = sorted(path for path in self.path.iterdir() if path.suffix in _SUFFIXES)
         if not files:
-            raise BagError(
-                f'{self.path} holds no bag file ({", ".join(_SUFFIXES)});'
-                ' give the folder or file that was recorded'
-            )
+            raise BagError('; '.join([*self._nothing_found(), *self.damage]))
         for path in files:
             try:
                 yield self._open_file(path)
             except BagError as error:  # noqa: PERF203 - one file of many
                 self.note(str(error))
+
+    def _nothing_found(self) -> list[str]:
+        problem = f'{self.path} holds no bag file ({", ".join(_SUFFIXES)})'
+        if any(path.suffix == '.zstd' for path in self.path.iterdir()):
+            return [problem, 'unpack its .zstd files with zstd -d: they need metadata.yaml']
+        return [problem, 'give the folder or file that was recorded']
 
     def _open_file(self, path: Path) -> _Source:
         kind = _bag_salvage.kind_of(path)

@@ -195,6 +195,13 @@ def test_one_damaged_file_of_a_split_recording_costs_only_its_own_end(tmp_path: 
     assert 320 < len(stamps) < 480
 
 
+def test_packed_files_without_metadata_can_be_unpacked(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / 'bag', stereo_records(1), 'mcap, file compressed')
+    (path / 'metadata.yaml').unlink()
+    with pytest.raises(BagError, match=r'unpack its \.zstd files with zstd -d'):
+        Bag(path)
+
+
 def test_what_is_no_bag_is_named(tmp_path: Path) -> None:
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'text.bag').write_text('hello, this is no bag at all')
