@@ -51,9 +51,11 @@ class _Convention(NamedTuple):
     limits_px: tuple[float, float]
 
     def valid(self, values: FloatImage) -> Mask:
-        """Tell which values are disparities. A sub-pixel value may exceed the last whole one."""
+        """Tell which values are disparities, up to one step beyond the last whole one."""
         low, high = self.limits_px
-        inside: Mask = (values >= self.low) & (values < self.low + (high - low) + 1)
+        inside: Mask = (values >= self.low - self.tolerance) & (
+            values < self.low + (high - low) + 1
+        )
         return inside & ~self.marked(values)
 
     def marked(self, values: FloatImage) -> Mask:
@@ -147,7 +149,9 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
     offset = rig.disparity_offset_px
     convention = _convention(values, low, high, offset)
     valid = convention.valid(values)
-    raw = np.where(valid, values + np.float32(offset), np.float32(np.nan)).astype(np.float32)
+    # limits and values are rounded differently; what is valid lies within the limits
+    raw = np.clip(values + np.float32(offset), *convention.limits_px).astype(np.float32)
+    raw[~valid] = np.nan
     return DisparityMap(raw, convention.limits_px)
 
 

@@ -126,7 +126,7 @@ def _explainer(
 ) -> Callable[[Any], None]:
     """Return an event callback that says in words which other side's QoS does not fit."""
     name = node.resolve_topic_name(topic)
-    role, verb = ('publisher', 'asks for') if publishes else ('subscription', 'offers')
+    role, other_role = ('publisher', 'subscriber') if publishes else ('subscription', 'publisher')
 
     def explain(_event: Any) -> None:
         if publishes:
@@ -139,11 +139,12 @@ def _explainer(
             )
             compatible, reason = qos_check_compatible(offered, requested)
             if compatible == QoSCompatibility.ERROR:
+                reason = reason.replace('ERROR: ', '').strip().rstrip(';')
+                known = not other.node_name.startswith('_')  # its name may come later
+                who = f'{other_role} {other.node_name}' if known else f'a {other_role}'
                 health.warning(
-                    f'QoS of {name}',
-                    f'{name}: {other.node_name} {verb} a QoS that does not fit'
-                    f' ({reason.strip().rstrip(";")}), so no message passes; set parameter'
-                    f' qos_overrides.{name}.{role}.reliability, or the QoS of {other.node_name}',
+                    f'{name}: the QoS of {who} does not fit ({reason}), so no message passes;'
+                    f' change it or set parameter qos_overrides.{name}.{role}.reliability'
                 )
 
     return explain

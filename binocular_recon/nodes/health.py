@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 import threading
 import time
@@ -12,9 +13,12 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-# A problem is repeated in the log, and remembered in the status, this long.
+# How often a problem is repeated in the log, and how long it stays in the status.
 _LOG_EVERY_S = 5.0
 _REMEMBERED_S = 3.0
+# Problems that differ in numbers only are of one kind; so many kinds are kept apart.
+_NUMBER = re.compile(r'\d+(\.\d+)?')
+_KINDS = 100
 
 
 class _Arrivals(NamedTuple):
@@ -34,7 +38,7 @@ class Health:
     Parameters
     ----------
     logger : rclpy logger
-        Where problems are written, each kind at most every five seconds.
+        Where problems are written, each at most every five seconds.
     clock : callable
         Seconds that never go back.
 
@@ -81,13 +85,13 @@ class Health:
         with self._lock:
             self._facts[name] = value
 
-    def error(self, kind: str, text: str) -> None:
-        """Report that a frame could not be used."""
-        self._report(DiagnosticStatus.ERROR, kind, text)
+    def error(self, text: str) -> None:
+        """Report that a frame could not be used; the status says so for a while."""
+        self._remember(DiagnosticStatus.ERROR, text)
 
-    def warning(self, kind: str, text: str) -> None:
-        """Report what makes results worse than they could be."""
-        self._report(DiagnosticStatus.WARN, kind, text)
+    def warning(self, text: str) -> None:
+        """Report what makes results worse; the status says so for a while."""
+        self._remember(DiagnosticStatus.WARN, text)
 
     def expect(self, topics: list[str]) -> None:
         """Begin to wait for messages: nothing has been silent before now."""
@@ -113,10 +117,9 @@ class Health:
         """Return the status; recent problems raise its level and take the place of ``summary``."""
         with self._lock:
             now = self._clock()
-            for worse in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
-                since, text = self._problems.get(worse, (-float('inf'), ''))
-                if now - since <= _REMEMBERED_S and level in (DiagnosticStatus.OK, worse):
-                    level, summary = worse, text
+            for recent, (since, text) in sorted(self._problems.items()):
+                if now - since <= _REMEMBERED_S and level <= recent:  # worse than stale is nothing
+                    level, summary = recent, text
             values = {f'received {topic}': str(n) for topic, n in self._received.items()}
             values |= {f'published {topic}': str(n) for topic, n in self._published.items()}
             values |= {
@@ -135,16 +138,19 @@ class Health:
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
 
-    def _report(self, level: bytes, kind: str, text: str) -> None:
+    def log(self, level: bytes, text: str) -> None:
+        """Write a problem into the log, unless it was there just before, but for its numbers."""
+        kind = _NUMBER.sub('#', text)
         with self._lock:
             now = self._clock()
-            self._problems[level] = (now, text)
             if level == DiagnosticStatus.ERROR:
                 self._last_error = text
             last, unlogged = self._logged.get(kind, (-float('inf'), 0))
             if now - last < _LOG_EVERY_S:
                 self._logged[kind] = (last, unlogged + 1)
                 return
+            if len(self._logged) >= _KINDS:
+                self._logged.clear()
             self._logged[kind] = (now, 0)
         if unlogged:
             text = f'{text} ({unlogged} more like this since the last time)'
@@ -153,3 +159,8 @@ class Health:
             self._logger.error(text)
         else:
             self._logger.warning(text)
+
+    def _remember(self, level: bytes, text: str) -> None:
+        with self._lock:
+            self._problems[level] = (self._clock(), text)
+        self.log(level, text)

@@ -84,7 +84,7 @@ class MatchNode(StereoNode):
             text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
         else:
             return
-        self.health.warning(f'{side} picture', f'{side} image {text}')
+        self.health.warning(f'{side} image {text}')
 
 
 def _compile_kernels() -> None:

@@ -86,9 +86,8 @@ class StereoNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         offered = {one.topic: offer(self, one, self.health, self._update) for one in self.OUTPUTS}
         self._outputs = {topic: publisher for topic, (publisher, _) in offered.items()}
-        self._listening = self._subscribe()  # declares their QoS parameters at the start
-        self._stop_listening()
-        self._update()
+        # declares the QoS parameters of the inputs; `_report` ends it if nobody listens
+        self._listening = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._report, clock=steady)
         if not all(reports for _, reports in offered.values()):
@@ -130,6 +129,9 @@ class StereoNode(Node):
         super().destroy_node()
 
     def _subscribe(self) -> list[Any]:
+        self._synchronizer.clear()
+        expected = [topic for topic, one in self._inputs.items() if not one.optional]
+        self.health.expect([*expected, _SETS])
         return [
             subscribe(
                 self,
@@ -145,17 +147,11 @@ class StereoNode(Node):
         """Subscribe while somebody listens to an output, and only then."""
         wanted = self.wanted(*self._outputs)
         if wanted and not self._listening:
-            self._synchronizer.clear()
-            expected = [topic for topic, one in self._inputs.items() if not one.optional]
-            self.health.expect([*expected, _SETS])
             self._listening = self._subscribe()
         elif not wanted:
-            self._stop_listening()
-
-    def _stop_listening(self) -> None:
-        for subscription in self._listening:
-            self.destroy_subscription(subscription)
-        self._listening = []
+            for subscription in self._listening:
+                self.destroy_subscription(subscription)
+            self._listening = []
 
     def _receive(self, topic: str, message: Any) -> None:
         self.health.received(topic)
@@ -176,18 +172,18 @@ class StereoNode(Node):
         except BinocularReconError as error:
             kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
             self.health.dropped(kind)
-            self.health.error(kind, str(error))
+            self.health.error(str(error))
         except Exception:  # noqa: BLE001 - a fault in one frame must not end the node
             if self.context.ok():  # after a shutdown nothing can be published
                 self.health.dropped('internal error')
-                self.health.error('internal error', traceback.format_exc())
+                self.health.error(traceback.format_exc())
         else:
             self._processed += 1
             self.health.processed(time.monotonic() - begun_s)
 
     def _report(self) -> None:
         self._update()
-        level, summary = self._watch()
+        level, summary = self._condition()
         name = self.get_fully_qualified_name().lstrip('/')
         status = self.health.status(
             f'{name}: frames', name, level, summary, dropped=self._synchronizer.dropped
@@ -196,31 +192,31 @@ class StereoNode(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
-    def _watch(self) -> tuple[bytes, str]:
-        """Return level and summary of a healthy node, and report what keeps frames from coming."""
+    def _condition(self) -> tuple[bytes, str]:
+        """Return level and summary of the last second, and log what keeps frames from coming."""
         processed, self._processed = self._processed, 0
         superseded, self._superseded = self._superseded, 0
         if not self._listening:
-            return (
-                DiagnosticStatus.OK,
-                f'idle: nobody subscribes to {" or ".join(self._outputs)}',
-            )
+            topics = ', '.join(self._outputs)
+            return DiagnosticStatus.OK, f'idle: nobody subscribes to any of {topics}'
         silent = self.health.silent()
         without_sets = silent.pop(_SETS, None)
+        level = DiagnosticStatus.ERROR
         if len(silent) == sum(not one.optional for one in self._inputs.values()):
+            level = DiagnosticStatus.STALE
             text = f'no messages on {", ".join(silent)}; start the cameras or check the remapping'
-            self.health.warning('silent', text)
-            return DiagnosticStatus.STALE, text
-        if silent:
+        elif silent:
             since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
-            self.health.error('silent', f'no message on {since}; check that camera and its cable')
+            text = f'no message on {since}; check that camera and its cable'
         elif without_sets is not None:
-            self.health.error('unpaired', self._synchronizer.explain())
+            text = self._synchronizer.explain()
         elif superseded:
-            self.health.warning(
-                'busy', f'cannot keep up: dropped {superseded} sets for newer ones within a second'
-            )
-        return DiagnosticStatus.OK, f'{processed} frames within a second'
+            level = DiagnosticStatus.WARN
+            text = f'cannot keep up: dropped {superseded} sets for newer ones within a second'
+        else:
+            return DiagnosticStatus.OK, f'{processed} frames within a second'
+        self.health.log(level, text)
+        return level, text
 
 
 def _content(info: Any) -> tuple[Any, ...]:

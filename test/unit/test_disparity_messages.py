@@ -10,6 +10,7 @@ import pytest
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.io.disparity_messages import fill_disparity, read_disparity
+from test import stereo_image_proc
 
 FOCAL_PX, BASELINE_M = 994.0, 0.193
 OFFSETS_PX = [-32.8, 0.0, 32.8, -32.0, 7.25]
@@ -36,21 +37,8 @@ def ours(raw: np.ndarray, offset_px: float, limits_px: tuple[float, float]) -> A
 
 
 def theirs(raw: np.ndarray, offset_px: float, limits_px: tuple[int, int]) -> Any:
-    """Return a message as stereo_image_proc makes it (stereo_processor.cpp, processDisparity)."""
-    sixteenths = np.where(np.isnan(raw), (limits_px[0] - 1) * 16, np.rint(np.nan_to_num(raw) * 16))
     message = blank()
-    values = (sixteenths.astype(np.int16) * (1 / 16) - offset_px).astype(np.float32)
-    message.image = SimpleNamespace(
-        encoding='32FC1',
-        height=raw.shape[0],
-        width=raw.shape[1],
-        step=4 * raw.shape[1],
-        is_bigendian=0,
-        data=values.tobytes(),
-    )
-    message.f, message.t = np.float32(FOCAL_PX), np.float32(BASELINE_M)
-    message.min_disparity, message.max_disparity = map(float, limits_px)
-    message.delta_d = 1 / 16
+    stereo_image_proc.fill(message, raw, rig(offset_px), limits_px)
     return message
 
 
@@ -98,8 +86,8 @@ def test_own_message_comes_back(offset_px: float, holes: bool) -> None:
 @pytest.mark.parametrize('offset_px', OFFSETS_PX)
 def test_message_of_stereo_image_proc(offset_px: float, holes: bool) -> None:
     for limits_px in ((0, 63), (-20, 43), (16, 79)):
-        raw = np.rint(raw_map(limits_px, holes=holes) * 16) / 16
-        raw[0, :2] = limits_px[0], limits_px[1] + 15 / 16
+        raw = stereo_image_proc.in_sixteenths(raw_map(limits_px, holes=holes))
+        raw[0, :2] = limits_px[0], limits_px[1]
         read = read_disparity(theirs(raw, offset_px, limits_px), rig(offset_px))
         np.testing.assert_allclose(read.disparity_px, raw, atol=1e-4)
         assert read.limits_px == pytest.approx(limits_px)
@@ -109,7 +97,7 @@ def test_message_of_stereo_image_proc(offset_px: float, holes: bool) -> None:
 def test_message_of_stereo_image_proc_without_near_or_far_things(offset_px: float) -> None:
     """Values that both conventions would accept: only limits and marker tell them apart."""
     for span in ((33.0, 40.0), (1.0, 12.0), (50.0, 63.0)):
-        raw = np.rint(raw_map(span, holes=True) * 16) / 16
+        raw = stereo_image_proc.in_sixteenths(raw_map(span, holes=True))
         read = read_disparity(theirs(raw, offset_px, (0, 63)), rig(offset_px))
         np.testing.assert_allclose(read.disparity_px, raw, atol=1e-4)
 

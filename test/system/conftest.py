@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+
+class StartNode(Protocol):
+    def __call__(self, executable: str, **parameters: object) -> Any: ...
+
+
+@pytest.fixture(scope='module')
+def graph() -> Iterator[Any]:
+    """Join the graph with a node of the test's own."""
+    from test.system.graph import Graph
+
+    own = Graph()
+    yield own
+    own.close()
+
+
+@pytest.fixture(scope='module')
+def start_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartNode]:
+    """Start nodes that end with the module, cleanly."""
+    from test.system.graph import NodeProcess
+
+    folder: Path = tmp_path_factory.mktemp('nodes')
+    started: list[Any] = []
+
+    def start(executable: str, **parameters: object) -> Any:
+        node = NodeProcess(executable, folder / f'{executable}_{len(started)}.log', **parameters)
+        started.append(node)
+        return node
+
+    yield start
+    for node in started:
+        text = f'{node.log.name}:\n{node.text()}'
+        assert node.stop() == 0, text
+        assert 'Traceback' not in node.text(), text

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The three nodes over DDS give what the offline chain gives, at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image, PointCloud2
+
+from binocular_recon.config import ChainConfig
+from binocular_recon.io.colormap import heat_map
+from binocular_recon.io.disparity_messages import read_disparity
+from binocular_recon.io.images import to_bgr8
+from binocular_recon.io.messages import camera_from_message, read_image, stamp_ns
+from binocular_recon.stereo.pipeline import Chain, Reconstruction
+from test.system.chain import OUTPUTS, prime, start_chain
+from test.system.conftest import StartNode
+from test.system.graph import Graph
+from test.system.rig import CameraPair, header, pictures, raw_rig
+
+# covers offsets of the principal points from -32.8 to +32.8 px
+RANGE = {'min_disparity': -32, 'disparity_range': 88}
+CONFIG = ChainConfig.preset('default', **RANGE)
+# frame: how the cameras send it, and their cx_left - cx_right
+FRAMES = [
+    ('mono8', -32.8),
+    ('bgr8', 0.0),
+    ('rgb8', 32.8),
+    ('mono16', -3.2),
+    ('bayer_rggb8', -3.2),
+    ('yuv422', -3.2),
+    ('32FC1', 32.8),
+    ('bgra8', 32.8),
+]
+
+
+def camera_message(bgr: np.ndarray, encoding: str, index: int, side: str) -> Image:
+    """Return a camera's picture in an encoding."""
+    grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+    message = Image(header=header(index, side), encoding=encoding)
+    message.height, message.width = grey.shape
+    images = {
+        'mono8': grey,
+        'bayer_rggb8': grey,
+        'bgr8': bgr,
+        'rgb8': bgr[..., ::-1],
+        'bgra8': np.dstack([bgr, np.full_like(grey, 255)]),
+        'mono16': grey.astype(np.uint16) * 200,
+        '32FC1': (grey / 255).astype(np.float32),
+        'yuv422': np.dstack([np.full_like(grey, 128), grey]),
+    }
+    image = np.ascontiguousarray(images[encoding])
+    if encoding == '32FC1':
+        image[20:24, 30:60] = np.nan
+    message.step = image.strides[0]
+    message.data = image.tobytes()
+    return message
+
+
+Frame = tuple[dict[str, Any], Reconstruction, Chain]
+
+
+@pytest.fixture(scope='module')
+def frames(graph: Graph, start_node: StartNode) -> Iterator[list[Frame]]:
+    """Send all frames and return, of each, the messages and what the offline chain makes."""
+    start_chain(start_node, **RANGE)
+    cameras = CameraPair(graph, raw_rig())
+    topics = [(f'/rig/{topic}', kind) for topic, kind in OUTPUTS.items()]
+    done = []
+    with graph.listening(*topics) as inboxes:
+        graph.wait_for_subscriber(*cameras.topics)
+        prime(cameras, inboxes)
+        for index, (encoding, offset_px) in enumerate(FRAMES):
+            cameras.rig = raw_rig(offset_px)
+            images = [
+                camera_message(image, encoding, index, side)
+                for image, side in zip(
+                    pictures(index, colour=True), ('left', 'right'), strict=True
+                )
+            ]
+            cameras.send(index, (None, None), left_image=images[0], right_image=images[1])
+            messages = {
+                topic: inbox.wait(index + 1)[index]
+                for topic, inbox in zip(OUTPUTS, inboxes, strict=True)
+            }
+            chain = Chain(cameras.rig, CONFIG)
+            done.append((messages, chain(*(read_image(image).image for image in images)), chain))
+        yield done
+
+
+def values(message: Image) -> np.ndarray:
+    return np.frombuffer(message.data, np.float32).reshape(message.height, message.width)
+
+
+def test_headers(frames: list[Frame]) -> None:
+    for index, (messages, _, _) in enumerate(frames):
+        for topic, message in messages.items():
+            side = 'right' if topic.startswith('right') else 'left'
+            assert message.header == header(index, side), topic
+
+
+def test_rectified_pictures(frames: list[Frame]) -> None:
+    for (messages, expected, _), (encoding, _) in zip(frames, FRAMES, strict=True):
+        kept = 'bgr8' if encoding in ('bayer_rggb8', 'yuv422') else encoding
+        for side, image in (('left', expected.left), ('right', expected.right)):
+            message = messages[f'{side}/image_rect']
+            assert message.encoding == kept
+            np.testing.assert_array_equal(read_image(message).image, image)
+
+
+def test_rectified_cameras(frames: list[Frame]) -> None:
+    for messages, _, chain in frames:
+        for side, camera in (('left', chain.rig.left), ('right', chain.rig.right)):
+            message = messages[f'{side}/camera_info_rect']
+            assert (message.distortion_model, list(message.d)) == ('plumb_bob', [0.0] * 5)
+            np.testing.assert_array_equal(message.k.reshape(3, 3), camera.P[:, :3])
+            np.testing.assert_array_equal(message.r.reshape(3, 3), np.eye(3))
+            np.testing.assert_array_equal(message.p.reshape(3, 4), camera.P)
+            assert not any((message.roi.width, message.roi.height, message.binning_x))
+        depth_camera = camera_from_message(messages['depth/camera_info'])
+        np.testing.assert_array_equal(depth_camera.P, chain.rig.left.P)
+
+
+def test_every_matched_disparity(frames: list[Frame]) -> None:
+    for (messages, expected, chain), (encoding, _) in zip(frames, FRAMES, strict=True):
+        read = read_disparity(messages['disparity'], chain.rig)
+        # equal_nan: the same pixels are valid
+        np.testing.assert_allclose(read.disparity_px, expected.matched.disparity_px, atol=1e-3)
+        np.testing.assert_array_equal(values(messages['confidence']), expected.matched.confidence)
+        valid = np.isfinite(read.disparity_px)
+        assert 0.4 < valid.mean() < 1, encoding
+        if encoding == '32FC1':
+            assert not valid[20:22, 36:54].any()
+
+
+def test_every_filtered_disparity(frames: list[Frame]) -> None:
+    for messages, expected, chain in frames:
+        message = messages['disparity_wls']
+        read = read_disparity(message, chain.rig)
+        np.testing.assert_allclose(read.disparity_px, expected.filtered.disparity_px, atol=1e-3)
+        shifted = values(message.image)
+        assert (shifted > message.min_disparity).all() and (shifted < message.max_disparity).all()
+
+
+def test_messages_decode_by_the_published_definition(frames: list[Frame]) -> None:
+    """Z = f T / d with the message's own numbers is the cloud's z, whatever the offset."""
+    for (messages, _, _), (_, offset_px) in zip(frames, FRAMES, strict=True):
+        message, z = messages['disparity_wls'], values(messages['depth'])
+        assert message.min_disparity == pytest.approx(RANGE['min_disparity'] - offset_px, abs=1e-4)
+        near = z < 1000  # beyond, float32 does not hold 1e-4 of a disparity
+        assert near.mean() > 0.6
+        depth = message.f * message.t / values(message.image)
+        np.testing.assert_allclose(depth[near], z[near], rtol=1e-4)
+
+
+def test_points(frames: list[Frame]) -> None:
+    layout = np.dtype(
+        {
+            'names': ['xyz', 'rgb', 'sigma_z'],
+            'formats': ['(3,)<f4', '(3,)u1', '<f4'],
+            'offsets': [0, 16, 20],
+            'itemsize': 32,
+        }
+    )
+    for messages, expected, _ in frames:
+        message = messages['points2']
+        shape = expected.cloud.sigma_z_m.shape
+        assert (message.height, message.width) == shape
+        points = np.frombuffer(message.data, layout).reshape(shape)
+        np.testing.assert_allclose(points['xyz'], expected.cloud.points_xyz, rtol=1e-3)
+        np.testing.assert_allclose(points['sigma_z'], expected.cloud.sigma_z_m, rtol=1e-2)
+        np.testing.assert_array_equal(points['rgb'], to_bgr8(expected.left))
+        np.testing.assert_array_equal(values(messages['depth']), points['xyz'][..., 2])
+        assert message.is_dense == bool(np.isfinite(points['xyz']).all())
+
+
+def test_heat_map(frames: list[Frame]) -> None:
+    for messages, expected, _ in frames:
+        message = messages['disparity_color']
+        assert message.encoding == 'bgr8'
+        picture = heat_map(expected.filtered.disparity_px, CONFIG.match.limits_px)
+        difference = np.abs(read_image(message).image.astype(int) - picture)
+        assert np.mean(difference.max(axis=-1) > 8) < 0.01  # 1e-3 px may change a colour's step
+
+
+def test_frames_come_once(frames: list[Frame]) -> None:
+    stamps = [stamp_ns(messages['disparity_wls'].header) for messages, _, _ in frames]
+    assert stamps == sorted(set(stamps)) and len(stamps) == len(FRAMES)
+
+
+@pytest.mark.usefixtures('frames')
+def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
+    index = len(FRAMES)
+    reason = graph.set_parameters(
+        '/rig/wls_filter_node',
+        use_color=False,
+        avoid_point_cloud_padding=True,
+        min_depth=2.5,
+        max_depth=4.0,
+    )
+    assert reason == ''
+    cameras = CameraPair(graph, raw_rig())
+    with graph.listening(('/rig/points2', PointCloud2)) as (inbox,):
+        cameras.send(index, pictures(1))
+        message = inbox.wait()[0]
+    assert [field.name for field in message.fields] == ['x', 'y', 'z', 'sigma_z']
+    assert message.point_step == 16
+    z = np.frombuffer(message.data, np.float32).reshape(-1, 4)[:, 2]
+    assert 0.2 < np.isfinite(z).mean() < 0.95 and not message.is_dense
+    assert np.nanmin(z) >= 2.5 and np.nanmax(z) <= 4.0

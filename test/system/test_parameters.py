@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of real nodes: described, limited, live, refused with a reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters
+from stereo_msgs.msg import DisparityImage
+
+from binocular_recon.config import PRESETS, MatchConfig
+from binocular_recon.nodes.match_node import MatchNode
+from binocular_recon.nodes.rectify_node import RectifyNode
+from binocular_recon.nodes.wls_filter_node import WlsFilterNode
+from binocular_recon.stereo.rectification import Rectifier
+from test.system.conftest import StartNode
+from test.system.graph import Graph, NodeProcess, wait_until
+from test.system.rig import CameraPair, pictures, raw_rig
+
+TYPES = {
+    bool: ParameterType.PARAMETER_BOOL,
+    int: ParameterType.PARAMETER_INTEGER,
+    float: ParameterType.PARAMETER_DOUBLE,
+    str: ParameterType.PARAMETER_STRING,
+}
+
+
+@pytest.fixture(scope='module', autouse=True)
+def _nodes(start_node: StartNode) -> None:
+    start_node('rectify_node')
+    # window and range are explicit, the range as a whole number for a float option
+    start_node('match_node', correlation_window_size=11, speckle_range=2, disparity_range=32)
+    start_node('wls_filter_node', preset='paper')
+
+
+@pytest.mark.parametrize('node', [RectifyNode, MatchNode, WlsFilterNode])
+def test_every_option_is_described(graph: Graph, node: Any) -> None:
+    groups = [(group, False) for group in node.LIVE] + [(group, True) for group in node.FIXED]
+    specs = {s.name: (s, fixed) for group, fixed in groups for s in dataclasses.fields(group)}
+    request = DescribeParameters.Request(names=list(specs))
+    answer = graph.call(f'/rig/{node.NAME}/describe_parameters', DescribeParameters, request)
+    for descriptor, (spec, fixed) in zip(answer.descriptors, specs.values(), strict=True):
+        meta = spec.metadata
+        assert descriptor.type == TYPES[type(spec.default)], spec.name
+        assert meta['description'] in descriptor.description and meta['unit'] in (
+            descriptor.description
+        )
+        assert descriptor.read_only == fixed and not descriptor.dynamic_typing
+        ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+        if meta['minimum'] is not None:
+            assert (ranges[0].from_value, ranges[0].to_value) == (meta['minimum'], meta['maximum'])
+        for choice in meta['choices'] or ():
+            assert choice in descriptor.additional_constraints
+
+
+@pytest.mark.parametrize(
+    ('node', 'values', 'reason'),
+    [
+        ('match_node', {'preset': 'fastest'}, "preset must be one of paper, .*got 'fastest'"),
+        ('match_node', {'texture_threshold': -1.0}, 'texture_threshold.*out of range'),
+        ('match_node', {'correlation_window_size': 8}, 'correlation_window_size.*step'),
+        ('match_node', {'uniqueness_ratio': float('nan')}, 'uniqueness_ratio out of range'),
+        ('match_node', {'disparity_range': 'wide'}, 'wrong parameter type'),
+        ('match_node', {'queue_size': 9}, 'read-only'),
+        ('rectify_node', {'alpha': -0.5}, r'alpha must be -1 or within 0\.\.1, got -0\.5'),
+        ('wls_filter_node', {'wls_guide': 'right'}, 'wls_guide must be one of left, disparity'),
+    ],
+)
+def test_bad_value_is_refused_with_its_reason(
+    graph: Graph, node: str, values: dict[str, Any], reason: str
+) -> None:
+    names = list(values)
+    before = graph.get_parameters(f'/rig/{node}', *names, 'image_transport')
+    said = graph.set_parameters(f'/rig/{node}', **values)
+    assert re.search(reason, said, re.IGNORECASE), said
+    assert graph.get_parameters(f'/rig/{node}', *names, 'image_transport') == before
+
+
+def test_refusal_of_one_refuses_all(graph: Graph) -> None:
+    names = ('min_disparity', 'disp12_max_diff')
+    before = graph.get_parameters('/rig/match_node', *names)
+    reason = graph.set_parameters('/rig/match_node', min_disparity=4, disp12_max_diff=500.0)
+    assert 'disp12_max_diff' in reason
+    assert graph.get_parameters('/rig/match_node', *names) == before
+
+
+def test_explicit_values_survive_a_change_of_preset(graph: Graph) -> None:
+    node = '/rig/match_node'
+    names = ('correlation_window_size', 'speckle_range', 'disp12_max_diff', 'texture_threshold')
+    default = MatchConfig()
+    assert graph.get_parameters(node, *names) == [
+        11,
+        2.0,
+        default.disp12_max_diff,
+        default.texture_threshold,
+    ]
+    assert graph.set_parameters(node, texture_threshold=3) == ''  # set while the node runs
+    assert graph.set_parameters(node, preset='paper') == ''
+    paper = PRESETS['paper']
+    assert graph.get_parameters(node, *names) == [11, 2.0, paper['disp12_max_diff'], 3.0]
+    assert graph.set_parameters(node, preset='default') == ''
+    assert graph.get_parameters(node, *names) == [11, 2.0, default.disp12_max_diff, 3.0]
+
+
+def test_preset_given_at_the_start(graph: Graph) -> None:
+    paper = PRESETS['paper']
+    names = ('wls_lambda', 'wls_alpha', 'wls_use_confidence')
+    values = graph.get_parameters('/rig/wls_filter_node', *names)
+    assert values == [paper[name] for name in names]
+
+
+def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
+    rectify = Rectifier(raw_rig())
+    images = rectify(*pictures(2))
+    cameras = CameraPair(graph, rectify.rig, image='image_rect')
+    with graph.listening(('/rig/disparity', DisparityImage)) as (inbox,):
+        graph.wait_for_subscriber('/rig/left/image_rect', '/rig/right/image_rect')
+        for index, low in enumerate((0, 6)):
+            assert graph.set_parameters('/rig/match_node', min_disparity=low) == ''
+            cameras.send(index, images)
+            message = inbox.wait(index + 1)[index]
+            offset_px = rectify.rig.disparity_offset_px
+            assert message.min_disparity == pytest.approx(low - offset_px)
+            assert message.max_disparity == pytest.approx(low + 31 - offset_px)
+
+
+@pytest.mark.parametrize(
+    ('executable', 'parameters', 'reason'),
+    [
+        ('match_node', {'disparity_range': 0}, 'disparity_range must be within 1..4096 px, got 0'),
+        ('rectify_node', {'calibration': '/nowhere'}, '/nowhere/left.yaml cannot be read'),
+        (
+            'match_node',
+            {'qos_overrides./rig/left/image_rect.subscription.reliability': 'always'},
+            'input left/image_rect: .*always',
+        ),
+    ],
+)
+def test_bad_value_at_the_start_ends_the_node(
+    tmp_path: Any, executable: str, parameters: dict[str, object], reason: str
+) -> None:
+    node = NodeProcess(executable, tmp_path / 'log', **parameters)
+    wait_until(lambda: node.process.poll() is not None, 'end of the node')
+    assert node.process.returncode == 1
+    assert re.search(reason, node.text()), node.text()
+    assert 'Traceback' not in node.text()

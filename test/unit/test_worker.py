@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import threading
+
+from binocular_recon.nodes.worker import LatestWorker
+
+
+def test_the_newest_job_is_done_next_and_no_other_waits() -> None:
+    begun, go, done = threading.Event(), threading.Event(), []
+
+    def work(job: int) -> None:
+        begun.set()
+        assert go.wait(5)
+        done.append(job)
+
+    worker = LatestWorker(work)
+    assert worker.submit(0) is False
+    assert begun.wait(5)  # 0 is being done
+    assert [worker.submit(job) for job in (1, 2, 3)] == [False, True, True]
+    go.set()
+    for _ in range(500):
+        if len(done) == 2:
+            break
+        threading.Event().wait(0.01)
+    worker.close(5)
+    assert done == [0, 3]
+
+
+def test_close_lets_the_present_job_end_and_begins_no_other() -> None:
+    begun, go, done = threading.Event(), threading.Event(), []
+
+    def work(job: int) -> None:
+        begun.set()
+        assert go.wait(5)
+        done.append(job)
+
+    worker = LatestWorker(work)
+    worker.submit(0)
+    assert begun.wait(5)
+    worker.submit(1)
+    threading.Timer(0.1, go.set).start()
+    worker.close(5)
+    assert done == [0]
+
+
+def test_jobs_are_done_one_at_a_time_and_in_order() -> None:
+    active, done, finished = [0], [], threading.Event()
+
+    def work(job: int) -> None:
+        active[0] += 1
+        assert active[0] == 1
+        done.append(job)
+        active[0] -= 1
+        if job == 199:
+            finished.set()
+
+    worker = LatestWorker(work)
+    replaced = sum(worker.submit(job) for job in range(200))
+    assert finished.wait(5)
+    worker.close(5)
+    assert done == sorted(done) and len(done) == 200 - replaced
