@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -46,6 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     module = importlib.import_module(f'binocular_recon.cli.{args.command}')
     try:
         module.run(args)
+    except BrokenPipeError:  # who reads the output, such as `head`, has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_PROBLEM
     except (BinocularReconError, OSError) as error:
         message = ' '.join(str(error).split())
         print(f'binocular_recon {args.command}: {message}', file=sys.stderr)

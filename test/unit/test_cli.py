@@ -156,6 +156,23 @@ def test_errors_become_one_line_and_a_status(
         assert line is None or text == line
 
 
+def test_a_reader_that_has_enough_is_no_problem_to_talk_about() -> None:
+    script = (
+        'import sys\n'
+        'from binocular_recon.cli import main, play\n'
+        'play.run = lambda args: print("x" * 1_000_000)\n'
+        'sys.exit(main.main(["play", "bag"]))\n'
+    )
+    command = [sys.executable, '-c', script]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.read(10)
+        process.stdout.close()
+        assert process.stderr.read() == b''
+        assert process.wait(20) == 1
+
+
 def test_play_without_ros_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
