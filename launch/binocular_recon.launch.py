@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole chain: rectify, match, filter; raw pictures in, point cloud out.
+
+Without an argument every option keeps its node's default; see `ros2 launch --show-args`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig, Options
+from binocular_recon.nodes.options import (
+    CalibrationOptions,
+    CloudMessageOptions,
+    InputOptions,
+    PresetOptions,
+    RectifyOptions,
+)
+
+SHARE = Path(__file__).resolve().parents[1]
+SIDES = ('left', 'right')
+# Options of each node that are launch arguments. How the cameras' pictures arrive and pair is a
+# matter of the first node; what it sends carries one stamp.
+OPTIONS: dict[str, tuple[type[Options], ...]] = {
+    'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
+    'match_node': (PresetOptions, MatchConfig),
+    'wls_filter_node': (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions),
+}
+# The nodes' own messages must not get lost: reliable, whatever the cameras are.
+_RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
+RELIABLE = {
+    'rectify_node': [],
+    'match_node': _RECTIFIED,
+    'wls_filter_node': ['disparity', 'confidence', 'left/image_rect', *_RECTIFIED[1::2]],
+}
+REMAPPINGS = [(f'{side}/camera_info', f'{side}/camera_info_rect') for side in SIDES]
+PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the arguments and start the nodes."""
+    arguments = {
+        'namespace': ('', 'Namespace of the rig: its topics are <namespace>/left/image_raw, ...'),
+        'params_file': ('', 'YAML file with parameters of the nodes; arguments win over it'),
+        'use_sim_time': ('false', 'Take the time from /clock, as of a bag or a simulation'),
+        'rviz': ('false', 'Start RViz with the cloud and the pictures'),
+        'rviz_frame': ('camera_left_optical', "Frame of the left camera, RViz's fixed frame"),
+        'dds_profile': (
+            str(SHARE / 'config' / 'fastdds_shared_memory.xml'),
+            'Fast DDS profile with shared memory for pictures; empty: leave DDS as it is',
+        ),
+    }
+    for groups in OPTIONS.values():
+        for spec in (spec for group in groups for spec in dataclasses.fields(group)):
+            arguments[spec.name] = '', _describe(spec)
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, (default, description) in arguments.items()
+            ),
+            OpaqueFunction(function=_start),
+        ]
+    )
+
+
+def _describe(spec: dataclasses.Field[Any]) -> str:
+    meta = spec.metadata
+    unit = f' [{meta["unit"]}]' if meta['unit'] else ''
+    choices = f' ({", ".join(meta["choices"])})' if meta['choices'] else ''
+    return (
+        f'{meta["description"]}{unit}{choices}; empty: as in params_file, the preset or the node'
+    )
+
+
+def _start(context: LaunchContext) -> list[Any]:
+    """Return the nodes with the arguments that were given."""
+    given = {name: value for name, value in context.launch_configurations.items() if value}
+    actions: list[Any] = []
+    profile = LaunchConfiguration('dds_profile').perform(context)
+    if profile and not any(name in os.environ for name in PROFILE_VARIABLES):
+        actions += [SetEnvironmentVariable(name, profile) for name in PROFILE_VARIABLES]
+    namespace = given.get('namespace', '').strip('/')
+    for executable, groups in OPTIONS.items():
+        names = {spec.name for group in groups for spec in dataclasses.fields(group)}
+        values = {name: yaml.safe_load(given[name]) for name in sorted(names & given.keys())}
+        values['use_sim_time'] = yaml.safe_load(given['use_sim_time'])
+        prefix = f'/{namespace}' if namespace else ''
+        for topic in RELIABLE[executable]:
+            values[f'qos_overrides.{prefix}/{topic}.subscription.reliability'] = 'reliable'
+        files = [given['params_file']] if 'params_file' in given else []
+        actions.append(
+            Node(
+                package='binocular_recon',
+                executable=executable,
+                namespace=namespace,
+                parameters=[*files, values],
+                remappings=[] if executable == 'rectify_node' else REMAPPINGS,
+                output='screen',
+            )
+        )
+    if yaml.safe_load(given['rviz']):
+        actions.append(
+            Node(
+                package='rviz2',
+                executable='rviz2',
+                namespace=namespace,
+                arguments=[
+                    *('-d', str(SHARE / 'rviz' / 'binocular_recon.rviz')),
+                    *('-f', given['rviz_frame']),
+                ],
+                parameters=[{'use_sim_time': yaml.safe_load(given['use_sim_time'])}],
+            )
+        )
+    return actions

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launch files and parameter files agree with what the nodes declare.
+
+`launch` cannot be installed from a package index: without it stand-ins record what is described.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+from binocular_recon.config import check_option
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+CHAIN = REPOSITORY / 'launch' / 'binocular_recon.launch.py'
+REPLAY = REPOSITORY / 'launch' / 'replay.launch.py'
+pytestmark = pytest.mark.ros
+
+
+class Described:
+    """What a launch file says of an action: its arguments."""
+
+    def __init__(self, *positional: Any, **named: Any) -> None:
+        self.positional = positional
+        vars(self).update(named)
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(name)
+
+
+class DeclareLaunchArgument(Described): ...
+
+
+class SetEnvironmentVariable(Described): ...
+
+
+class Node(Described): ...
+
+
+class IncludeLaunchDescription(Described): ...
+
+
+class LaunchConfiguration(Described):
+    def perform(self, context: Any) -> str:
+        return str(context.launch_configurations[self.positional[0]])
+
+
+@pytest.fixture(autouse=True)
+def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
+    members: dict[str, dict[str, Any]] = {
+        'launch': {'LaunchDescription': list, 'LaunchContext': object},
+        'launch.actions': {
+            'DeclareLaunchArgument': DeclareLaunchArgument,
+            'IncludeLaunchDescription': IncludeLaunchDescription,
+            'OpaqueFunction': Described,
+            'SetEnvironmentVariable': SetEnvironmentVariable,
+        },
+        'launch.substitutions': {'LaunchConfiguration': LaunchConfiguration},
+        'launch.launch_description_sources': {'PythonLaunchDescriptionSource': Described},
+        'launch_ros': {},
+        'launch_ros.actions': {'Node': Node},
+    }
+    for name, contents in members.items():
+        module = ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+    for name in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+        monkeypatch.delenv(name, raising=False)
+
+
+def launched(path: Path, **given: str) -> tuple[dict[str, Any], list[Any]]:
+    """Return the arguments of a launch file by name, and what it starts with those given."""
+    *arguments, start = runpy.run_path(str(path))['generate_launch_description']()
+    named = {argument.positional[0]: argument for argument in arguments}
+    values = {name: argument.default_value for name, argument in named.items()} | given
+    return named, start.function(SimpleNamespace(launch_configurations=values))
+
+
+def nodes() -> dict[str, Any]:
+    """Return the classes of the nodes by name."""
+    from binocular_recon.nodes.match_node import MatchNode
+    from binocular_recon.nodes.rectify_node import RectifyNode
+    from binocular_recon.nodes.wls_filter_node import WlsFilterNode
+
+    return {node.NAME: node for node in (RectifyNode, MatchNode, WlsFilterNode)}
+
+
+def options(node: Any) -> dict[str, Any]:
+    groups = [*node.LIVE, *node.FIXED]
+    return {spec.name: spec for group in groups for spec in dataclasses.fields(group)}
+
+
+def test_every_argument_is_described_and_is_an_option_of_a_node() -> None:
+    own = {'namespace', 'params_file', 'use_sim_time', 'rviz', 'rviz_frame', 'dds_profile'}
+    arguments, _ = launched(CHAIN)
+    declared = {name for node in nodes().values() for name in options(node)}
+    assert set(arguments) - own == declared
+    assert all(len(argument.description) > 15 for argument in arguments.values())
+    arguments, _ = launched(REPLAY, bag='some.bag')
+    assert set(arguments) == {'bag', 'rate', 'loop', 'clock'}
+    assert arguments['bag'].default_value is None  # it must be given
+    assert all(len(argument.description) > 15 for argument in arguments.values())
+
+
+@pytest.mark.parametrize('namespace', ['', 'rig', '/robot/rig/'])
+def test_nodes_are_wired_to_each_other(namespace: str) -> None:
+    _, actions = launched(CHAIN, namespace=namespace)
+    started = [action for action in actions if isinstance(action, Node)]
+    assert [node.executable for node in started] == list(nodes())
+    prefix = f'/{namespace.strip("/")}' if namespace else ''
+    offered: set[str] = set()
+    for node in started:
+        declared = nodes()[node.executable]
+        inputs = {one.topic for one in declared.INPUTS}
+        remapped = dict(node.remappings)
+        assert remapped.keys() <= inputs
+        topics = {remapped.get(topic, topic) for topic in inputs}
+        # what an earlier node publishes is reliable, what the cameras publish is not touched
+        between = {
+            f'qos_overrides.{prefix}/{topic}.subscription.reliability'
+            for topic in topics & offered
+        }
+        (values,) = node.parameters
+        assert {name for name in values if name.startswith('qos')} == between
+        assert all(values[name] == 'reliable' for name in between)
+        assert node.executable == 'rectify_node' or topics <= offered
+        offered |= {one.topic for one in declared.OUTPUTS}
+        assert (node.package, node.namespace) == ('binocular_recon', namespace.strip('/'))
+
+
+def test_arguments_become_parameters_of_the_right_nodes() -> None:
+    given = {
+        'preset': 'paper',
+        'alpha': '0',
+        'disparity_range': '64',
+        'max_depth': '30',
+        'use_color': 'false',
+        'image_transport': 'compressed',
+        'calibration': '/home/me/rig',
+        'use_sim_time': 'true',
+        'params_file': 'mine.yaml',
+    }
+    _, actions = launched(CHAIN, **given)
+    found = {
+        action.executable: {
+            name: value for name, value in action.parameters[1].items() if 'qos' not in name
+        }
+        for action in actions
+        if isinstance(action, Node)
+    }
+    assert found == {
+        'rectify_node': {
+            'alpha': 0,
+            'image_transport': 'compressed',
+            'calibration': '/home/me/rig',
+            'use_sim_time': True,
+        },
+        'match_node': {'preset': 'paper', 'disparity_range': 64, 'use_sim_time': True},
+        'wls_filter_node': {
+            'preset': 'paper',
+            'max_depth': 30,
+            'use_color': False,
+            'use_sim_time': True,
+        },
+    }
+    assert all(
+        action.parameters[0] == 'mine.yaml' for action in actions if isinstance(action, Node)
+    )
+
+
+def test_shared_memory_unless_the_user_has_a_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, actions = launched(CHAIN)
+    profiles = [a.positional for a in actions if isinstance(a, SetEnvironmentVariable)]
+    assert len(profiles) == 2 and all(Path(path).is_file() for _, path in profiles)
+    monkeypatch.setenv('FASTDDS_DEFAULT_PROFILES_FILE', 'mine.xml')
+    _, actions = launched(CHAIN)
+    assert not any(isinstance(action, SetEnvironmentVariable) for action in actions)
+
+
+def test_rviz_shows_topics_of_the_nodes() -> None:
+    _, actions = launched(CHAIN, rviz='true', rviz_frame='cam')
+    rviz = actions[-1]
+    assert rviz.executable == 'rviz2' and rviz.arguments[-2:] == ['-f', 'cam']
+    content = yaml.safe_load(Path(rviz.arguments[1]).read_text())
+    topics = {d['Topic']['Value'] for d in content['Visualization Manager']['Displays']}
+    offered = {one.topic for node in nodes().values() for one in node.OUTPUTS}
+    assert topics <= offered and len(topics) == 3
+
+
+def test_replay_plays_into_the_chain() -> None:
+    _, (chain, player) = launched(REPLAY, bag='some.bag', rate='0.5', loop='true')
+    assert chain.positional[0].positional == (str(CHAIN),)
+    assert dict(chain.launch_arguments) == {'use_sim_time': 'true'}
+    assert (player.package, player.executable) == ('binocular_recon', 'play_bag')
+    assert player.arguments == ['some.bag', '--rate', '0.5', '--loop', '--clock']
+    _, (chain, player) = launched(REPLAY, bag='some.bag', clock='false')
+    assert player.arguments == ['some.bag', '--rate', '1.0']
+
+
+@pytest.mark.skipif(importlib.util.find_spec('launch_ros') is None, reason='launch_ros is missing')
+def test_launch_accepts_the_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.split('.')[0] in ('launch', 'launch_ros')]:
+        monkeypatch.delitem(sys.modules, name)
+    from launch import LaunchContext  # type: ignore[attr-defined]
+
+    for path in (CHAIN, REPLAY):
+        description = runpy.run_path(str(path))['generate_launch_description']()
+        context = LaunchContext()
+        context.launch_configurations['bag'] = 'some.bag'
+        for entity in description.entities:
+            entity.visit(context)
+
+
+def test_parameter_files_hold_options_that_the_nodes_accept() -> None:
+    checked = 0
+    for path in (REPOSITORY / 'config').glob('*.yaml'):
+        for key, value in yaml.safe_load(path.read_text()).items():
+            if not isinstance(value, dict) or 'ros__parameters' not in value:
+                continue  # not of a node
+            declared = options(nodes()[key.rpartition('/')[2]])
+            for name, given in value['ros__parameters'].items():
+                check_option(declared[name], given)
+                assert given != declared[name].default, f'{path.name}: {name} restates the default'
+                checked += 1
+    assert checked > 0
