@@ -43,6 +43,7 @@ RELIABLE = {
     'wls_filter_node': ['disparity', 'confidence', 'left/image_rect', *_RECTIFIED[1::2]],
 }
 REMAPPINGS = [(f'{side}/camera_info', f'{side}/camera_info_rect') for side in SIDES]
+# Fast DDS 3 knows the first name, Fast DDS 2 (Jazzy and earlier) the second.
 PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
@@ -88,7 +89,8 @@ def _start(context: LaunchContext) -> list[Any]:
     actions: list[Any] = []
     profile = LaunchConfiguration('dds_profile').perform(context)
     if profile and not any(name in os.environ for name in PROFILE_VARIABLES):
-        actions += [SetEnvironmentVariable(name, profile) for name in PROFILE_VARIABLES]
+        older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
+        actions.append(SetEnvironmentVariable(PROFILE_VARIABLES[older], profile))
     namespace = given.get('namespace', '').strip('/')
     for executable, groups in OPTIONS.items():
         names = {spec.name for group in groups for spec in dataclasses.fields(group)}

@@ -176,10 +176,16 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
     )
 
 
-def test_shared_memory_unless_the_user_has_a_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(('distribution', 'name'), [('jazzy', 'FASTRTPS'), ('kilted', 'FASTDDS')])
+def test_shared_memory_unless_the_user_has_a_profile(
+    monkeypatch: pytest.MonkeyPatch, distribution: str, name: str
+) -> None:
+    monkeypatch.setenv('ROS_DISTRO', distribution)
     _, actions = launched(CHAIN)
-    profiles = [a.positional for a in actions if isinstance(a, SetEnvironmentVariable)]
-    assert len(profiles) == 2 and all(Path(path).is_file() for _, path in profiles)
+    (profile,) = [a.positional for a in actions if isinstance(a, SetEnvironmentVariable)]
+    assert profile[0] == f'{name}_DEFAULT_PROFILES_FILE' and Path(profile[1]).is_file()
+    _, actions = launched(CHAIN, dds_profile='')
+    assert not any(isinstance(action, SetEnvironmentVariable) for action in actions)
     monkeypatch.setenv('FASTDDS_DEFAULT_PROFILES_FILE', 'mine.xml')
     _, actions = launched(CHAIN)
     assert not any(isinstance(action, SetEnvironmentVariable) for action in actions)

@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Real node processes, on the DDS profile that the launch files choose."""
+
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+
+PROFILE = Path(__file__).resolve().parents[2] / 'config' / 'fastdds_shared_memory.xml'
+for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+    os.environ[variable] = str(PROFILE)
 
 
 class StartNode(Protocol):
