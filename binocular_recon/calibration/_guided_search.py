@@ -10,11 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
-from binocular_recon.calibration._board_layout import (
-    board_homography,
-    lateral_limit_m,
-    project_plane,
-)
+from binocular_recon.calibration._board_layout import lateral_limit_m
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
@@ -23,28 +19,29 @@ FloatImage = npt.NDArray[np.float32]
 # Agreement of the grey levels around a border with the rods' own that makes it a mark
 # (1 = equal, 0 = no border).
 AGREEMENT = 0.45
+# The same for the only mark of a rod.
+LONE_AGREEMENT = 0.8
 # How near the frame a mark may be, px.
 FRAME_PX = 1.0
 
 
-def predict_marks(board: RodBoard, marks_px: FloatArray) -> FloatArray:
+def predict_marks(
+    board: RodBoard, marks_px: FloatArray, plane_px: FloatArray | None
+) -> FloatArray:
     """Return where every mark should be, from those found: (R, M, 2) float64, NaN = no telling.
 
-    The homography of the board's plane, corrected for each rod by what is found of it.
+    Where the plane of the board puts it, corrected for each rod by what is found of it.
     """
     found = np.isfinite(marks_px[..., 0])
-    matrix = board_homography(board, marks_px)
-    predicted = np.full_like(marks_px, np.nan)
-    if matrix is not None:
-        predicted = project_plane(matrix, board.world_points()[..., :2])
+    predicted = np.full_like(marks_px, np.nan) if plane_px is None else plane_px.copy()
     for rod in range(board.count):
         h, seen = board.marks_m, found[rod]
-        if matrix is not None and seen.any():
+        if plane_px is not None and seen.any():
             off = marks_px[rod, seen] - predicted[rod, seen]
             degree = min(1, int(seen.sum()) - 1)
             predicted[rod] += np.stack([np.polyval(np.polyfit(h[seen], o, degree), h)
                                         for o in off.T], -1)  # fmt: skip
-        elif matrix is None and seen.sum() >= 2:
+        elif plane_px is None and seen.sum() >= 2:
             predicted[rod] = np.stack(
                 [np.polyval(np.polyfit(h[seen], v, 1), h) for v in marks_px[rod, seen].T], -1
             )
@@ -52,7 +49,11 @@ def predict_marks(board: RodBoard, marks_px: FloatArray) -> FloatArray:
 
 
 def complete(
-    image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float
+    image: FloatImage,
+    board: RodBoard,
+    marks_px: FloatArray,
+    predicted: FloatArray,
+    width_px: float,
 ) -> FloatArray:
     """Add the marks that the picture shows where the board says they must be.
 
@@ -64,6 +65,8 @@ def complete(
         Places of rods and marks.
     marks_px : (R, M, 2) float64
         Marks found so far, px; NaN = not found.
+    predicted : (R, M, 2) float64
+        Where every mark should be, px; NaN = not known.
     width_px : float
         Width of the rods, px.
 
@@ -76,7 +79,6 @@ def complete(
     mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
     middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
     rise = 1.0 + tall
-    predicted = predict_marks(board, marks_px)
     levels = _levels(middle, marks_px, predicted, rise)
     if levels is None:
         return marks_px
@@ -91,7 +93,7 @@ def complete(
         search_line(middle, predicted[rod], window, levels, rise, points, agreement)
         new = missing & (agreement > AGREEMENT)
         if missing.all() and new.sum() < 2:
-            continue
+            new = missing & (agreement > LONE_AGREEMENT)
         completed[rod, new] = points[new]
     return completed
 
@@ -117,9 +119,7 @@ def _levels(
     return np.array([np.median(dark), np.median(light)])
 
 
-def _window(
-    board: RodBoard, predicted: FloatArray, found: int, width_px: float
-) -> FloatArray:
+def _window(board: RodBoard, predicted: FloatArray, found: int, width_px: float) -> FloatArray:
     """Return how far off a rod's marks may be: sideways at both ends, along the rod; and a step."""
     scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
     gap = scale * float(np.diff(board.marks_m).min())

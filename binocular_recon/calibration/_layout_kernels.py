@@ -17,6 +17,9 @@ NONE = -1
 # Cost of a mark that should be in the picture but was not found, and of a border that should
 # not be there, against 1 for a mark explained.
 MISSING, UNEXPLAINED = 0.3, 0.5
+# Rods of a board are painted alike: standard deviation of the logarithm of a track's step. Their
+# filter's width is the rod's within this, in logarithms.
+STEP_RANGE, WIDTH_RANGE = 0.4, 0.6
 # How far a border may be from where two other rods put the mark, as a share of the spacing.
 ALONG = 0.35
 
@@ -102,6 +105,7 @@ def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
 @kernel
 def score_layout(
     tracks: FloatArray,
+    looks: FloatArray,
     ends: FloatArray,
     rods: tuple[int, int],
     rods_x: FloatArray,
@@ -116,6 +120,8 @@ def score_layout(
     ----------
     tracks : (T, n, 3) float64
         x, y, sign of each border, NaN = none.
+    looks : (T, 3) float64
+        How much each track looks like a rod (0..1), logarithm of its step and of its width.
     ends : (2, 5) float64
         Bottom and top x, y, px per metre of the two rods.
     rods : tuple of int
@@ -124,9 +130,9 @@ def score_layout(
         Places of the rods along the board, m.
     marks : (M,) float64
         Heights of the marks, m.
-    limits : (4,) float64
+    limits : (6,) float64
         Width and height of the picture less a margin, px; how far a rod may be off sideways, m
-        and px.
+        and px; logarithm of the usual step and of the rods' diameter, m.
     chosen : (R,) int64
         Written: track of each rod, NONE = none.
     indices : (R, n) int64
@@ -155,7 +161,12 @@ def score_layout(
             if _far(tracks[t], predicted, 2 * lateral):
                 continue
             explained, unexplained = _match_track(tracks[t], predicted, marks, lateral, trial)
-            value = explained - UNEXPLAINED * unexplained
+            width = limits[5] + math.log(length / (marks[-1] - marks[0]))
+            if abs(looks[t, 2] - width) > WIDTH_RANGE:
+                continue
+            unlike = (looks[t, 1] - limits[4]) / STEP_RANGE
+            value = looks[t, 0] * math.exp(-0.5 * unlike * unlike)
+            value *= explained - UNEXPLAINED * unexplained
             if explained >= 2 and value > best:
                 best, chosen[r] = value, t
                 indices[r] = trial

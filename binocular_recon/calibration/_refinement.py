@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.calibration._rod_fit import (
-    USUAL_BLUR_PX,
     BorderFit,
     RodFit,
     fit_border,
-    fit_rod,
+    fit_rods,
 )
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
@@ -29,8 +28,8 @@ LARGEST_RESIDUAL = 0.12
 # A border's step against the typical one of the board.
 LEAST_STEP, LARGEST_STEP = 0.4, 2.0
 # Marks of one rod fit their exact spacing to this, px, and to this share of the rod's length
-# (distortion).
-STRAY_PX, STRAY_LENGTH = 0.4, 0.002
+# (distortion); the usual error of a mark, px.
+STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
 
 
 class Refined(NamedTuple):
@@ -45,6 +44,7 @@ def refine(
     board: RodBoard,
     marks_px: FloatArray,
     predicted_px: FloatArray,
+    plane_px: FloatArray | None,
 ) -> Refined:
     """Measure the marks found.
 
@@ -56,12 +56,11 @@ def refine(
         Heights of the marks.
     marks_px, predicted_px : (R, M, 2) float64
         Rough positions of the marks found, and where every mark should be; NaN = none.
+    plane_px : (R, M, 2) float64 or None
+        Where the plane of the whole board puts the marks; None = not known.
 
     """
-    rods = [
-        _fit_sides(image, board, marks_px[r], predicted_px[r], USUAL_BLUR_PX)
-        for r in range(board.count)
-    ]
+    rods = _fit_sides(image, board, marks_px, predicted_px)
     first = _fit_borders(image, board, rods, marks_px, None, None)
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
@@ -69,16 +68,13 @@ def refine(
         return Refined(empty, empty[..., 0])
     blur = float(np.median([fit.blur_px for fit in fits]))
     curve = _curve_model(fits)
-    rods = [
-        _fit_sides(image, board, _positions(first[r]), predicted_px[r], blur)
-        for r in range(board.count)
-    ]
     again = np.stack([_positions(row) for row in first])
+    rods = _fit_sides(image, board, again, predicted_px)
     second = _fit_borders(image, board, rods, again, blur, curve)
     _reject_odd_looking(second)
     marks = np.stack([_positions(row) for row in second])
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
-    sigma[_strays(board, marks)] = np.nan
+    sigma[_strays(board, marks, plane_px)] = np.nan
     marks[~np.isfinite(sigma)] = np.nan
     return Refined(marks, sigma)
 
@@ -88,24 +84,21 @@ def _positions(row: list[BorderFit | None]) -> FloatArray:
 
 
 def _fit_sides(
-    image: FloatImage,
-    board: RodBoard,
-    marks: FloatArray,
-    predicted: FloatArray,
-    blur_px: float,
-) -> RodFit | None:
-    """Fit a rod between its marks; a single mark borrows its neighbours' predicted places."""
-    found = np.isfinite(marks[:, 0])
-    if not found.any():
-        return None
-    if found.sum() == 1:
-        index = int(np.nonzero(found)[0][0])
-        marks = marks.copy()
-        near = [k for k in (index - 1, index + 1) if 0 <= k < len(marks)]
-        marks[near] = marks[index] + 0.6 * (predicted[near] - predicted[index])
-        if not np.isfinite(marks[near]).all():
-            return None
-    return fit_rod(image, marks, board.rod_diameter_m * _px_per_m(board, marks), blur_px)
+    image: FloatImage, board: RodBoard, marks_px: FloatArray, predicted_px: FloatArray
+) -> list[RodFit | None]:
+    """Fit every rod between its marks; a single mark borrows its neighbours' predicted places."""
+    lines: list[FloatArray | None] = []
+    found = np.isfinite(marks_px[..., 0])
+    everywhere = np.where(found[..., None], marks_px, predicted_px)
+    for rod, seen in enumerate(found):
+        near = seen.copy()
+        if seen.sum() == 1:
+            near[1:] |= seen[:-1]
+            near[:-1] |= seen[1:]
+        visible = np.where(near[:, None], everywhere[rod], np.nan)
+        lines.append(visible if seen.any() else None)
+    widths = [board.rod_diameter_m * _px_per_m(board, rod) for rod in predicted_px]
+    return fit_rods(image, lines, everywhere[..., 1], np.array(widths))
 
 
 def _fit_borders(
@@ -159,11 +152,15 @@ def _best_border(
     return best
 
 
-def _px_per_m(board: RodBoard, marks: FloatArray) -> float:
-    """Return the scale of a rod in the picture from its outermost marks."""
-    found = np.nonzero(np.isfinite(marks[:, 0]))[0]
-    length = np.linalg.norm(marks[found[-1]] - marks[found[0]])
-    return float(length / (board.marks_m[found[-1]] - board.marks_m[found[0]]))
+def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
+    """Return the scale of the picture along a rod at its marks, from their places (M, 2)."""
+    chord = rod[-1] - rod[0]
+    along = (rod - rod[0]) @ chord / np.linalg.norm(chord)
+    degree = min(2, len(along) - 1)
+    scale: FloatArray = np.polyval(
+        np.polyder(np.polyfit(board.marks_m, along, degree)), board.marks_m
+    )
+    return scale
 
 
 def _reach(board: RodBoard, mark: int, px_per_m: float, width_px: float) -> FloatArray:
@@ -219,54 +216,60 @@ def _reject_odd_looking(table: list[list[BorderFit | None]]) -> None:
                 row[m] = None
 
 
-def _strays(board: RodBoard, marks: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return which marks contradict the exact spacing of their rod: (R, M) bool.
+def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt.NDArray[np.bool_]:
+    """Return which marks contradict their rod's exact spacing and the board: (R, M) bool.
 
-    Along a rod the picture is a projective line, t = (a + b h) / (1 + c h). All rods of a board are
-    nearly parallel, so c is nearly theirs in common.
+    ``plane`` (R, M, 2) is where the board's plane puts the marks; None = not known. A rod may be
+    too high or low and nearer or farther, the lens bends a little; what is left is the mark's.
     """
     stray = np.zeros(marks.shape[:2], np.bool_)
-    fits = [_line_fit(board.marks_m, rod, 0.0, 1e-9) for rod in marks]
-    bends = [fit[0] for fit, rod in zip(fits, marks, strict=True)
-             if fit is not None and np.isfinite(rod[:, 0]).sum() >= 5]  # fmt: skip
-    bend = float(np.median(bends)) if bends else 0.0
     for r, rod in enumerate(marks):
         current = rod.copy()
+        reference = rod if plane is None else plane[r]
+        ends = np.nonzero(np.isfinite(reference[:, 0]))[0]
+        if len(ends) < 2:
+            continue
+        chord = reference[ends[-1]] - reference[ends[0]]
+        length = float(np.linalg.norm(chord))
+        along = (rod - reference[ends[0]]) @ chord / length
+        if plane is None:
+            expected = (board.marks_m - board.marks_m[ends[0]]) * length
+            expected /= board.marks_m[ends[-1]] - board.marks_m[ends[0]]
+            sigma = np.array([1e3, 1e3, 0.03 * length])
+        else:
+            expected = (plane[r] - reference[ends[0]]) @ chord / length
+            scale = length / (board.marks_m[ends[-1]] - board.marks_m[ends[0]])
+            sigma = np.array(
+                [1 + 3 * board.height_sigma_m * scale, 0.012 * length, 0.004 * length]
+            )
+        off = along - expected
+        limit = STRAY_PX + STRAY_LENGTH * length
         while True:
-            fit = _line_fit(board.marks_m, current, bend, 0.02 if bends else 0.1)
-            if fit is None:
+            deviation = _deviation(board.marks_m, off, sigma)
+            if not np.nanmax(deviation, initial=0.0) > limit:
                 break
-            off, length = fit[1], fit[2]
-            if not np.nanmax(off) > STRAY_PX + STRAY_LENGTH * length:
-                break
-            worst = int(np.nanargmax(off))
-            stray[r, worst] = True
-            current[worst] = np.nan
+            worst = np.argsort(-np.nan_to_num(deviation))[:2]
+            # two that blame each other: both go
+            tie = deviation[worst[1]] > 0.7 * deviation[worst[0]] and np.isfinite(off).sum() <= 3
+            drop = worst if tie else worst[:1]
+            stray[r, drop] = True
+            off[drop] = np.nan
     return stray
 
 
-def _line_fit(
-    heights: FloatArray, rod: FloatArray, bend: float, bend_sigma: float
-) -> tuple[float, FloatArray, float] | None:
-    """Fit a projective line to a rod's marks; None below three marks.
+def _deviation(heights: FloatArray, off: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Fit the deviations of a rod's marks by a parabola with priors; return the residuals.
 
-    Returns the bend c, per spacing of the whole rod, each mark's deviation once it is left out of
-    the fit (M,), NaN = not found, and the rod's length, px.
+    Each residual is divided by the square root of its redundancy, which makes the one whose removal
+    helps most the largest. (M,), NaN = not found.
     """
-    found = np.isfinite(rod[:, 0])
-    if found.sum() < 3:
-        return None
-    points = rod[found]
-    h = (heights[found] - heights[0]) / np.ptp(heights) - 0.5
-    chord = points[-1] - points[0]
-    length = float(np.linalg.norm(chord))
-    t = (points - points[0]) @ chord / length
-    # t = a + b h - c h t, linear in a, b, c
-    design = np.column_stack([np.ones_like(h), h, -h * (t - t.mean())])
-    prior = np.array([0.0, 0.0, 1.0 / bend_sigma**2]) * STRAY_PX**2
-    normal = design.T @ design + np.diag(prior)
-    solution = np.linalg.solve(normal, design.T @ t + prior * np.array([0, 0, bend]))
-    leverage = np.einsum('ij,jk,ik->i', design, np.linalg.inv(normal), design)
-    off = np.full(len(rod), np.nan)
-    off[found] = np.abs(t - design @ solution) / np.maximum(1 - leverage, 0.1)
-    return float(solution[2]), off, length
+    found = np.isfinite(off)
+    h = (heights[found] - heights.mean()) / np.ptp(heights) * 2
+    design = np.column_stack([np.ones_like(h), h, h**2])
+    normal = design.T @ design / MARK_SIGMA_PX**2 + np.diag(1 / sigma**2)
+    inverse = np.linalg.inv(normal) / MARK_SIGMA_PX**2
+    residual = off[found] - design @ (inverse @ (design.T @ off[found]))
+    redundancy = 1 - np.einsum('ij,jk,ik->i', design, inverse, design)
+    deviation = np.full(len(off), np.nan)
+    deviation[found] = np.abs(residual) / np.sqrt(np.maximum(redundancy, 1e-3))
+    return deviation

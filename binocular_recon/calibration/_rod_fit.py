@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ import numpy.typing as npt
 from binocular_recon.calibration._rod_fit_kernels import (
     ABOVE,
     BELOW,
-    BESIDE_PX,
     BLUR,
     BORDER_PARAMETERS,
+    C0,
+    C1,
     C2,
     CURVE,
     R0,
@@ -21,6 +23,7 @@ from binocular_recon.calibration._rod_fit_kernels import (
     ROD_PARAMETERS,
     S1,
     S2,
+    SIGMA,
     T0,
     accumulate_border,
     accumulate_rows,
@@ -31,7 +34,20 @@ FloatImage = npt.NDArray[np.float32]
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8
-ROD_STEPS, BORDER_STEPS = 8, 8
+# Steps of the fits; the first ones of a rod move its line only.
+ROD_STEPS, LINE_STEPS, BORDER_STEPS = 10, 2, 8
+# Most that a step may change C0 and C1, as a share of the width.
+LINE_STEP = 0.33
+# What the rods of a picture have in common: their width against rod_diameter, S1, S2, blur (px) and
+# how the lens bends them, amid the rods and its change over BEND_REACH_PX, in BEND_UNIT (1 / px):
+# what is expected, its standard deviation, and the most that one step may change.
+COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
+COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0])
+COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
+BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
+OWN = 2
+# Rows of a rod that are fitted at most; neighbours tell much the same.
+MOST_ROWS = 160
 # Rows this near to a border are left out of the fit of the sides, px (and the rod's lean).
 GUARD_PX = 2.5
 # Rows used beyond the outermost marks, as a share of a spacing.
@@ -76,95 +92,161 @@ class BorderFit(NamedTuple):
     curve_weight: float
 
 
-def fit_rod(
-    image: FloatImage, marks_px: FloatArray, width_px: float, blur_px: float
-) -> RodFit | None:
-    """Fit the middle line and the width of a rod to its two sides.
+def fit_rods(
+    image: FloatImage,
+    marks_px: list[FloatArray | None],
+    borders_y: FloatArray,
+    width_px: FloatArray,
+) -> list[RodFit | None]:
+    """Fit the middle lines of a board's rods to their two sides.
 
-    Each row between the marks has its own background on either side and its own level; line, width
-    and shading across are the rod's. Rows that do not fit (clutter, something in front) count less.
+    Each row between the marks has its own background on either side and its own level; the lines
+    are the rods' own; how much wider than expected they are, their shading and the blur are common
+    to all. Rows that do not fit (clutter, something in front) count less.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
-    marks_px : (M, 2) float64
-        Rough positions of the marks, NaN = unknown; at least two.
-    width_px : float
-        Rough width across the rod, px.
-    blur_px : float
-        Standard deviation of the blur, px.
+    marks_px : list of (M, 2) float64 or None
+        Rough positions of each rod's marks, NaN = unknown, at least two; None = no such rod.
+    borders_y : (R, M) float64
+        Rows of all borders, found or not, px.
+    width_px : (R, M) float64
+        Expected width across each rod at its marks, px.
 
     Returns
     -------
-    RodFit or None
-        None if no row of the rod can be seen.
+    list of RodFit or None
+        None for a rod that cannot be seen.
 
     """
-    known = marks_px[np.isfinite(marks_px[:, 0])]
-    order = np.argsort(-known[:, 1])
-    known = known[order]
+    places = [np.nanmean(marks[:, 0]) for marks in marks_px if marks is not None]
+    sides = [
+        None if marks is None else _start(image, marks, borders, width, float(np.mean(places)))
+        for marks, borders, width in zip(marks_px, borders_y, width_px, strict=True)
+    ]
+    seen = [side for side in sides if side is not None]
+    common = COMMON_START.copy()
+    for step in range(ROD_STEPS if seen else 0):
+        # a blurred model first: its edges reach farther
+        systems = [_normal_equations(image, side, common, 0.25 * 0.5**step) for side in seen]
+        change = np.zeros(len(common))
+        if step >= LINE_STEPS:
+            change = _common_change(systems, common)
+        common = common + change
+        for side, (normal, gradient) in zip(seen, systems, strict=True):
+            own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
+            limit = 2 * side.half_row_px[0] * LINE_STEP
+            side.line = side.line + np.clip(own, -limit, limit)
+            _weigh_rows(side.rows, side.band)
+    return [None if side is None else side.result(common) for side in sides]
+
+
+@dataclass
+class _Side:
+    """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
+
+    ``half_row_px`` is half the width along a row that is expected: R0, R1. ``bend`` (2,) is what the
+    common parameters of the lens do to C2.
+    """
+
+    line: FloatArray
+    half_row_px: FloatArray
+    bend: FloatArray
+    y_middle: float
+    y_scale: float
+    rows: FloatArray
+    band: npt.NDArray[np.int64]
+
+    def parameters(self, common: FloatArray) -> FloatArray:
+        """Return the parameters of the kernels."""
+        c2 = self.bend @ common[4:]
+        return np.array([*self.line, c2, *(common[0] * self.half_row_px), *common[1:4]])
+
+    def result(self, common: FloatArray) -> RodFit | None:
+        """Return the fit, None if no row of the rod could be seen."""
+        if not np.isfinite(self.rows[:, 3]).any():
+            return None
+        return RodFit(self.parameters(common), self.y_middle, self.y_scale)
+
+
+def _start(
+    image: FloatImage,
+    marks: FloatArray,
+    borders_y: FloatArray,
+    width_px: FloatArray,
+    x_middle: float,
+) -> _Side:
+    """Set a rod up on the straight line through its marks."""
+    order = np.argsort(-marks[:, 1])  # NaN last
+    order = order[: np.isfinite(marks[:, 0]).sum()]
+    known, width_px = marks[order], width_px[order]
     low, high = known[-1, 1], known[0, 1]
     middle, scale = 0.5 * (low + high), max(0.5 * (high - low), 1.0)
-    slope, x0 = np.polyfit((known[:, 1] - middle) / scale, known[:, 0], 1)
-    lean = np.hypot(slope / scale, 1)
-    start = np.zeros(ROD_PARAMETERS)
-    start[:2], start[R0] = (x0, slope), 0.5 * width_px * lean
-    rows, band = _rows(image, known, width_px * np.sqrt(lean**2 - 1), middle, scale)
-    rod = start.copy()
-    for step in range(ROD_STEPS):
-        # a blurred model first: its edges reach farther
-        blur = max(blur_px, 0.25 * width_px * 0.5**step)
-        normal = np.zeros((ROD_PARAMETERS, ROD_PARAMETERS))
-        gradient = np.zeros(ROD_PARAMETERS)
-        accumulate_rows(image, rows, rod, blur, normal, gradient)
-        if not np.isfinite(rows[:, 3]).any() or normal[0, 0] <= 0:
-            return None
-        stiff = _rod_prior(normal, rows[:, 3], line_only=step < 2)
-        change = np.linalg.solve(
-            normal + np.diag(stiff), gradient + stiff * (start - rod) * (stiff > 0)
-        )
-        change[:3] = np.clip(change[:3], -width_px / 3, width_px / 3)
-        change[R0 : R1 + 1] = np.clip(change[R0 : R1 + 1], -0.1 * width_px, 0.1 * width_px)
-        rod = rod + change
-        _weigh_rows(rows, band)
-    if not 0.5 < rod[R0] / start[R0] < 1.7:
-        return None
-    return RodFit(rod, middle, scale)
-
-
-def _rows(
-    image: FloatImage, known: FloatArray, lean_px: float, middle: float, scale: float
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """Return the rows to fit, as accumulate_rows takes them, and whether each is in a light band."""
-    beyond = BEYOND * float(np.median(np.abs(np.diff(known[:, 1]))))
-    first = max(0, int(known[-1, 1] - beyond))
-    last = min(len(image) - 1, int(known[0, 1] + beyond))
+    z = (known[:, 1] - middle) / scale
+    slope, x0 = np.polyfit(z, known[:, 0], 1)
+    lean = float(np.hypot(slope / scale, 1))
+    taper, width = np.polyfit(z, width_px, 1)
+    gap = float(np.median(np.abs(np.diff(known[:, 1]))))
+    first, last = max(0, int(low - BEYOND * gap)), min(len(image) - 1, int(high + BEYOND * gap))
     y = np.arange(first, last + 1)
-    away = np.abs(y[:, None] - known[None, :, 1]).min(1)
-    y = y[away > GUARD_PX + 0.5 * lean_px]
+    away = np.abs(y[:, None] - borders_y).min(1)
+    y = y[away > GUARD_PX + 0.5 * width * np.sqrt(lean**2 - 1)]
+    y = y[:: len(y) // MOST_ROWS + 1]
     rows = np.zeros((len(y), 5))
     rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
-    below = (known[None, :, 1] > y[:, None]).sum(1)
-    return rows, below
+    band = (borders_y > y[:, None]).sum(1)
+    half = 0.5 * lean * np.array([width, taper])
+    bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
+    return _Side(np.array([x0, slope]), half, bend, middle, scale, rows, band)
 
 
-def _rod_prior(normal: FloatArray, levels: FloatArray, *, line_only: bool) -> FloatArray:
-    """Return how stiffly each parameter is held at its start."""
-    size = np.nanmedian(levels**2) * len(levels)
-    stiff = np.full(ROD_PARAMETERS, 1e-9 * normal[0, 0])
-    stiff[C2] = 0.01 * normal[0, 0]
-    stiff[R0], stiff[R1] = 0.02 * normal[R0, R0], 0.05 * normal[R0, R0]
-    stiff[S1] = stiff[S2] = 0.003 * size
-    if line_only:
-        stiff[[C2, R1, S1, S2]] = 1e9 * (size + normal[0, 0])
-    return stiff
+def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
+    """Solve for the common parameters with each rod's own line eliminated."""
+    prior = 1 / COMMON_SIGMA**2
+    total, pull = np.diag(prior), prior * (COMMON_START - common)
+    for normal, gradient in systems:
+        weight = np.linalg.solve(normal[:OWN, :OWN], normal[:OWN, OWN:])
+        total = total + normal[OWN:, OWN:] - normal[OWN:, :OWN] @ weight
+        pull = pull + gradient[OWN:] - weight.T @ gradient[:OWN]
+    change: FloatArray = np.clip(np.linalg.solve(total, pull), -COMMON_STEP, COMMON_STEP)
+    return change
+
+
+def _normal_equations(
+    image: FloatImage, side: _Side, common: FloatArray, soften: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix and gradient by C0, C1 and the common parameters.
+
+    In units of the residuals' variance.
+    """
+    parameters = side.parameters(common)
+    parameters[SIGMA] = max(common[3], soften * 2 * side.half_row_px[0])
+    normal = np.zeros((ROD_PARAMETERS, ROD_PARAMETERS))
+    gradient = np.zeros(ROD_PARAMETERS)
+    accumulate_rows(image, side.rows, parameters, normal, gradient)
+    # how the kernels' parameters follow from the rod's own and the common ones
+    combine = np.zeros((ROD_PARAMETERS, OWN + len(common)))
+    combine[[C0, C1, S1, S2, SIGMA], [0, 1, 3, 4, 5]] = 1.0
+    combine[[R0, R1], 2] = side.half_row_px
+    combine[C2, 6:] = side.bend
+    normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
+    residual, weight = side.rows[:, 4], side.rows[:, 2]
+    used = np.isfinite(residual) & (weight > 0)
+    variance = LEAST_RESIDUAL**2
+    if used.any():
+        variance += float(np.average(residual[used] ** 2, weights=weight[used]))
+    normal[range(OWN), range(OWN)] += 1e-6 * variance
+    return normal / variance, gradient / variance
 
 
 def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
     """Let rows count less whose residual is large or whose level is not that of their band."""
     level, residual = rows[:, 3], rows[:, 4]
     seen = np.isfinite(residual)
+    if not seen.any():
+        return
     typical = max(LEAST_RESIDUAL, float(np.median(residual[seen])))
     weight = 1 / (1 + (residual / typical) ** 2) ** 2
     for light in (0, 1):
@@ -230,9 +312,7 @@ def fit_border(
         stiff[BLUR] = 1e12 if blur_px is not None or step < 3 else noise / 0.3**2
         target[CURVE] = curve or 0.0
         target[BLUR] = blur_px or USUAL_BLUR_PX
-        change = np.linalg.solve(
-            normal + np.diag(stiff), gradient + stiff * (target - border)
-        )
+        change = np.linalg.solve(normal + np.diag(stiff), gradient + stiff * (target - border))
         change[T0] = np.clip(change[T0], -1.0, 1.0)
         change[BLUR] = np.clip(change[BLUR], -0.2, 0.2)
         border = border + change
@@ -251,6 +331,3 @@ def fit_border(
         float(np.sqrt(variance * covariance[T0, T0])),
         float(1 / (variance * covariance[CURVE, CURVE])),
     )
-
-
-__all__ = ['BESIDE_PX', 'BorderFit', 'RodFit', 'fit_border', 'fit_rod']

@@ -14,10 +14,15 @@ FloatImage = npt.NDArray[np.float32]
 FloatArray = npt.NDArray[np.float64]
 
 # Parameters of a rod in the picture, with z = (y - y_middle) / y_scale: the middle is at
-# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z, its shading over v = u / half width
-# 1 + S1 v + S2 (v^2 - 1/3), the blur SIGMA.
-C0, C1, C2, R0, R1, S1, S2 = range(7)
-ROD_PARAMETERS = 7
+# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and sun
+# is as bright as 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half width.
+# SIGMA is the blur, px.
+C0, C1, C2, R0, R1, S1, S2, SIGMA = range(8)
+ROD_PARAMETERS = 8
+# The corner between shade and light is rounded: a step of a fit must not jump over it.
+ROUND = 0.1
+# Strips of one brightness into which a rod's width is cut, equal in angle around the rod.
+STRIPS = 8
 # Background on either side of a rod that a row's fit uses, px.
 BESIDE_PX = 3.0
 
@@ -33,32 +38,68 @@ def _density(x: float) -> float:
 
 
 @kernel
-def _row_model(
-    x0: int, z: float, rod: FloatArray, sigma: float, basis: FloatArray, slopes: FloatArray
-) -> None:
-    """Write the model of one row from column x0 on.
+def shading(v: float, s1: float, s2: float) -> float:
+    """Return the brightness of a rod at v = -1..1 across."""
+    sun = s1 * v + s2 * math.sqrt(max(0.0, 1 - v * v))
+    return 1 + 0.5 * (sun + math.sqrt(sun * sun + ROUND * ROUND))
 
-    ``basis`` (n, 3): shares of the left background, the rod, the right background.
-    ``slopes`` (n, 3, 3): their derivatives by the middle's x, the half width and S1, S2 (last
-    two share a column pair: 0 middle, 1 half width, 2 unused).
+
+@kernel
+def _cut_strips(rod: FloatArray, strips: FloatArray) -> None:
+    """Write border, brightness and its derivatives by S1, S2 of each strip: (STRIPS + 1, 4).
+
+    The last row holds the last border only.
     """
-    middle = rod[C0] + z * (rod[C1] + z * rod[C2])
-    half = rod[R0] + z * rod[R1]
-    for i in range(basis.shape[0]):
-        u = x0 + i - middle
+    for k in range(STRIPS + 1):
+        strips[k, 0] = math.sin((k / STRIPS - 0.5) * math.pi)
+        v = math.sin(((k + 0.5) / STRIPS - 0.5) * math.pi)
+        strips[k, 1] = shading(v, rod[S1], rod[S2])
+        sun = rod[S1] * v + rod[S2] * math.sqrt(1 - v * v)
+        lit = 0.5 * (1 + sun / math.sqrt(sun * sun + ROUND * ROUND))
+        strips[k, 2], strips[k, 3] = lit * v, lit * math.sqrt(1 - v * v)
+    strips[STRIPS, 1:] = 0.0
+
+
+@kernel
+def _row_model(
+    offset: float,
+    half: float,
+    sigma: float,
+    strips: FloatArray,
+    basis: FloatArray,
+    slopes: FloatArray,
+) -> None:
+    """Write the model of one row whose first pixel is ``offset`` right of the rod's middle.
+
+    ``basis`` (n, 3): shares of the left background, the rod, the right background. ``slopes``
+    (n, 9): derivatives by the middle's x (left, rod, right), by the blur (left, rod, right) and
+    of the rod's share by the half width, S1, S2.
+    """
+    n = basis.shape[0]
+    for i in range(n):
+        u = offset + i
+        rod = by_x = by_half = by_s1 = by_s2 = by_blur = 0.0
+        for k in range(STRIPS + 1):
+            a = (u - half * strips[k, 0]) / sigma
+            if a < -4.5:
+                break
+            share, density = 1.0, 0.0
+            if a < 4.5:
+                share, density = _phi(a), _density(a) / sigma
+            # from strip k on the brightness is another
+            change = strips[k, 1] - (strips[k - 1, 1] if k > 0 else 0.0)
+            rod += change * share
+            by_x -= change * density
+            by_half -= change * density * strips[k, 0]
+            by_blur -= change * density * a
+            by_s1 += (strips[k, 2] - (strips[k - 1, 2] if k > 0 else 0.0)) * share
+            by_s2 += (strips[k, 3] - (strips[k - 1, 3] if k > 0 else 0.0)) * share
         a, b = (u + half) / sigma, (u - half) / sigma
-        left, right = 1 - _phi(a), _phi(b)
-        fa, fb = _density(a) / sigma, _density(b) / sigma
-        v = min(1.0, max(-1.0, u / half))
-        shade = 1 + rod[S1] * v + rod[S2] * (v * v - 1.0 / 3)
-        cover = 1 - left - right
-        basis[i, 0], basis[i, 1], basis[i, 2] = left, cover * shade, right
-        # by the middle
-        slopes[i, 0, 0], slopes[i, 0, 1], slopes[i, 0, 2] = fa, (fb - fa) * shade, -fb
-        # by the half width
-        slopes[i, 1, 0], slopes[i, 1, 1], slopes[i, 1, 2] = -fa, (fa + fb) * shade, -fb
-        # by S1, S2
-        slopes[i, 2, 0], slopes[i, 2, 1], slopes[i, 2, 2] = cover * v, cover * (v * v - 1.0 / 3), 0
+        basis[i, 0], basis[i, 1], basis[i, 2] = 1 - _phi(a), rod, _phi(b)
+        left, right = _density(a) / sigma, _density(b) / sigma
+        slopes[i, 0], slopes[i, 1], slopes[i, 2] = left, by_x, -right
+        slopes[i, 3], slopes[i, 4], slopes[i, 5] = a * left, by_blur, -b * right
+        slopes[i, 6], slopes[i, 7], slopes[i, 8] = by_half, by_s1, by_s2
 
 
 @kernel
@@ -86,7 +127,6 @@ def accumulate_rows(
     image: FloatImage,
     rows: FloatArray,
     rod: FloatArray,
-    sigma: float,
     normal: FloatArray,
     gradient: FloatArray,
 ) -> None:
@@ -98,15 +138,15 @@ def accumulate_rows(
         Grey levels.
     rows : (n, 5) float64
         y, z, weight; written: level of the rod, root mean square residual (NaN = not seen).
-    rod : (7,) float64
+    rod : (8,) float64
         Parameters of the rod.
-    sigma : float
-        Blur, px.
-    normal, gradient : (7, 7), (7,) float64
+    normal, gradient : (8, 8), (8,) float64
         Added to.
 
     """
     p = ROD_PARAMETERS
+    strips = np.empty((STRIPS + 1, 4))
+    _cut_strips(rod, strips)
     for r in range(rows.shape[0]):
         y, z, weight = int(rows[r, 0]), rows[r, 1], rows[r, 2]
         rows[r, 3] = rows[r, 4] = np.nan
@@ -119,8 +159,8 @@ def accumulate_rows(
         if x0 > middle - half - 1 or x1 < middle + half + 1 or half < 0.5:
             continue
         n = x1 - x0 + 1
-        basis, slopes = np.empty((n, 3)), np.empty((n, 3, 3))
-        _row_model(x0, z, rod, sigma, basis, slopes)
+        basis, slopes = np.empty((n, 3)), np.empty((n, 9))
+        _row_model(x0 - middle, half, rod[SIGMA], strips, basis, slopes)
         m, rhs = np.zeros((3, 3)), np.zeros((3, 1))
         for i in range(n):
             for j in range(3):
@@ -136,11 +176,13 @@ def accumulate_rows(
             value = left * basis[i, 0] + level * basis[i, 1] + right * basis[i, 2]
             residual[i] = image[y, x0 + i] - value
             square += residual[i] ** 2
-            by_x = left * slopes[i, 0, 0] + level * slopes[i, 0, 1] + right * slopes[i, 0, 2]
-            by_r = left * slopes[i, 1, 0] + level * slopes[i, 1, 1] + right * slopes[i, 1, 2]
+            by_x = left * slopes[i, 0] + level * slopes[i, 1] + right * slopes[i, 2]
+            # a wider rod moves its left edge left and its right edge right
+            by_r = -left * slopes[i, 0] + level * slopes[i, 6] + right * slopes[i, 2]
             jacobian[i, C0], jacobian[i, C1], jacobian[i, C2] = by_x, by_x * z, by_x * z * z
             jacobian[i, R0], jacobian[i, R1] = by_r, by_r * z
-            jacobian[i, S1], jacobian[i, S2] = level * slopes[i, 2, 0], level * slopes[i, 2, 1]
+            jacobian[i, S1], jacobian[i, S2] = level * slopes[i, 7], level * slopes[i, 8]
+            jacobian[i, SIGMA] = left * slopes[i, 3] + level * slopes[i, 4] + right * slopes[i, 5]
         rows[r, 3], rows[r, 4] = level, math.sqrt(square / n)
         if weight <= 0:
             continue
@@ -214,7 +256,7 @@ def accumulate_border(
             sag = half * (math.sqrt(max(0.0, 1 - v * v)) - 1)
             a = (t - border[T0] - border[CURVE] * sag) / border[BLUR]
             share_above = _phi(a)
-            light = 1 + shade[0] * v + shade[1] * (v * v - 1.0 / 3)
+            light = shading(v, shade[0], shade[1])
             step = border[ABOVE] - border[BELOW]
             value = light * (border[BELOW] + step * share_above)
             slope = -light * step * _density(a) / border[BLUR]

@@ -29,7 +29,7 @@ LEVELS = 4
 # Borders kept at each width, the strongest; a forest or a gravel heap offers 50 000.
 MOST_BORDERS = 20_000
 # Tracks looked at: no picture holds more that can be told from clutter.
-MOST_TRACKS = 300
+MOST_TRACKS = 100
 
 
 class Track(NamedTuple):
@@ -137,7 +137,7 @@ def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> li
     points = np.where(present[..., None], table[chosen, :2] * scale + (scale - 1) / 2, np.nan)
     steps = np.where(present, np.abs(table[chosen, STEP]), np.nan)
     scores = _scores(points, steps, present, board, width * scale)
-    best = np.argsort(-scores, kind='stable')[: 4 * MOST_TRACKS]
+    best = np.argsort(-scores, kind='stable')[: 3 * MOST_TRACKS]
     return [Track(points[i], steps[i], width * scale, float(scores[i])) for i in best]
 
 
@@ -168,21 +168,21 @@ def _scores(
 def _each_place_once(tracks: list[Track]) -> list[Track]:
     """Drop tracks that lie on a better one's line."""
     kept: list[Track] = []
-    lines: list[tuple[float, float, float, float, float]] = []
+    # x at the top, slope, top, bottom and width of the lines kept
+    lines = np.empty((MOST_TRACKS, 5))
     for track in tracks:
         points = track.points_px[track.found]
-        y0, y1 = points[:, 1].min(), points[:, 1].max()
-        slope, x0 = np.polyfit(points[:, 1] - y0, points[:, 0], 1)
-        for other_x, other_y, other_slope, other_end, other_width in lines:
-            low, high = max(y0, other_y), min(y1, other_end)
-            if high - low > 0.3 * min(y1 - y0, other_end - other_y):
-                y = 0.5 * (low + high)
-                gap = abs(x0 + slope * (y - y0) - other_x - other_slope * (y - other_y))
-                if gap < 0.7 * max(track.width_px, other_width):
-                    break
-        else:
-            kept.append(track)
-            lines.append((x0, y0, slope, y1, track.width_px))
+        (x0, y0), (x1, y1) = points[-1], points[0]  # marks run from the foot up
+        slope = (x1 - x0) / (y1 - y0)
+        x, tilt, top, bottom, width = lines[: len(kept)].T
+        low, high = np.maximum(top, y0), np.minimum(bottom, y1)
+        y = 0.5 * (low + high)
+        gap = np.abs(x0 + slope * (y - y0) - x - tilt * (y - top))
+        beside = high - low > 0.3 * np.minimum(bottom - top, y1 - y0)
+        if (beside & (gap < 0.7 * np.maximum(width, track.width_px))).any():
+            continue
+        lines[len(kept)] = x0, slope, y0, y1, track.width_px
+        kept.append(track)
         if len(kept) == MOST_TRACKS:
             break
     return kept

@@ -11,9 +11,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration._board_layout import identify
+from binocular_recon.calibration._board_layout import (
+    expected_in_picture,
+    identify,
+    other_identities,
+    plane_marks,
+)
 from binocular_recon.calibration._guided_search import complete, predict_marks
-from binocular_recon.calibration._refinement import refine
+from binocular_recon.calibration._refinement import Refined, refine
 from binocular_recon.calibration._rod_search import find_tracks
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
@@ -25,6 +30,14 @@ FloatImage = npt.NDArray[np.float32]
 FULL_RANGE = 255.0
 # Least step of a border, in levels of the stretched picture and in standard deviations of noise.
 LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+# By how many marks (missing ones count half) an identity must beat every other one.
+CLEAR_MARGIN = 1.5
+# Marks nearer to the frame than this may be missed, px.
+FRAME_MARGIN_PX = 4.0
+AMBIGUOUS = (
+    'too little of the board is in view to tell which rods and heights these are; show one more rod'
+    ' or its feet'
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +105,70 @@ def _detect(grey: FloatImage, board: RodBoard) -> Detection:
     rough, width = identify(find_tracks(stretched, board, threshold), board, size)
     if not np.isfinite(rough).any():
         return Detection(rough, rough[..., 0], ('no rod found',))
-    for _ in range(2):
-        rough = complete(stretched, board, rough, width)
-        refined = refine(stretched, board, rough, predict_marks(board, rough))
-        rough = refined.marks_px
+    refined = _measure(stretched, board, rough, width)
+    identity = _identity(stretched, board, refined.marks_px, width)
+    if identity is None:
+        nothing = np.full_like(rough, np.nan)
+        return Detection(nothing, nothing[..., 0], (AMBIGUOUS,))
+    if identity is not refined.marks_px:
+        refined = _measure(stretched, board, identity, width)
     return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+
+
+def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: float) -> Refined:
+    """Measure the marks found roughly, then those that the board says must be there too."""
+    plane = plane_marks(board, rough)
+    refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
+    for _ in range(2):
+        # what is measured tells better where the rest must be
+        known = refined.marks_px
+        plane = plane_marks(board, known)
+        predicted = predict_marks(board, known, plane)
+        more = complete(image, board, known, predicted, width_px)
+        if np.isfinite(more).sum() == np.isfinite(known).sum():
+            break
+        refined = refine(image, board, more, predicted, plane)
+    return refined
+
+
+def _identity(
+    image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float
+) -> FloatArray | None:
+    """Return the marks with the identity that the picture supports best; None if two do.
+
+    Every other identity that the spacings allow is tried: more marks must then be somewhere else,
+    and they are there or not.
+    """
+    rods_found = np.isfinite(marks_px[..., 0]).any(1).sum()
+    if rods_found == 0:
+        return marks_px
+    if rods_found == 1 < board.count:
+        return None
+    scores = [_support(image, board, marks_px, width_px)]
+    ways = [marks_px]
+    for other in other_identities(board, marks_px):
+        ways.append(other)
+        scores.append(_support(image, board, other, width_px))
+    order = np.argsort(-np.array(scores), kind='stable')
+    if len(ways) > 1 and scores[order[0]] - scores[order[1]] < CLEAR_MARGIN:
+        return None
+    return ways[order[0]]
+
+
+def _support(image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float) -> float:
+    """Return the number of marks found under an identity less half the number missing."""
+    plane = plane_marks(board, marks_px)
+    predicted = predict_marks(board, marks_px, plane)
+    more = complete(image, board, marks_px, predicted, width_px)
+    new = np.isfinite(more[..., 0]) & ~np.isfinite(marks_px[..., 0])
+    added = 0
+    if new.any():
+        only_new = np.where(new[..., None], more, np.nan)
+        added = int(np.isfinite(refine(image, board, only_new, predicted, plane).sigma_px).sum())
+    found = int(np.isfinite(marks_px[..., 0]).sum()) + added
+    size = image.shape[1], image.shape[0]
+    expected = expected_in_picture(board, predicted, size, FRAME_MARGIN_PX)
+    return found - 0.5 * max(0, int(expected.sum()) - found)
 
 
 def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
@@ -126,7 +198,8 @@ def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
     sample = grey[::4, ::4]
     low, high = np.percentile(sample, (1, 99))
     gain = FULL_RANGE / max(float(high - low), 1e-3)
-    stretched = (grey - np.float32(low)) * np.float32(gain)
+    # black stays black: light on a round rod multiplies
+    stretched = grey * np.float32(gain)
     # the median of absolute second differences tells the noise: flat places prevail
     rows = stretched[::4]
     second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
