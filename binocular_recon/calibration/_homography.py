@@ -13,6 +13,10 @@ from binocular_recon.errors import CalibrationError
 
 # Points per side of the grid over a picture on which resampling is measured.
 _GRID = 9
+# A point must come back from undistortion this closely, px, in this share of the picture.
+_RETURN_PX, _LEAST_USABLE = 0.1, 0.5
+# Distortion of a lens changes the local scale by less than a factor of 3 (its logarithm).
+_TORN = np.log(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +45,18 @@ class Picture:
     Attributes
     ----------
     points_px : (N, 2) float64
-        A grid over the raw picture, undistorted, px.
+        A grid over the raw picture, undistorted, px. Points that the distortion model does not
+        map back to themselves are left out: few boards may leave it absurd in the corners.
     jacobians : (N, 2, 2) float64
         Derivative of the undistorted by the raw position at each point.
+    usable_share : float
+        Share of the grid that is kept.
 
     """
 
     points_px: FloatArray
     jacobians: FloatArray
+    usable_share: float
 
     @classmethod
     def of(cls, calibration: StereoCalibration, side: str) -> Picture:
@@ -57,11 +65,23 @@ class Picture:
         axes = np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)
         raw = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         step = 0.5 * np.eye(2)
+        points = calibration.undistort(raw, side)
+        returned = calibration.distort(points, side)
+        usable = np.linalg.norm(returned - raw, axis=1) < _RETURN_PX
         columns = [
             calibration.undistort(raw + s, side) - calibration.undistort(raw - s, side)
             for s in step
         ]
-        return cls(calibration.undistort(raw, side), np.stack(columns, axis=-1))
+        jacobians = np.stack(columns, axis=-1)
+        # next to a fold the picture is torn apart, behind it directions turn round
+        scales = np.linalg.svd(jacobians, compute_uv=False)
+        usable &= (np.linalg.det(jacobians) > 0) & (np.abs(np.log(scales)) < _TORN).all(axis=-1)
+        if usable.mean() < _LEAST_USABLE:
+            raise CalibrationError(
+                f'the distortion of the {side} camera is absurd: it cannot be undone in'
+                f' {1 - usable.mean():.0%} of the picture; capture boards in more of the picture'
+            )
+        return cls(points[usable], jacobians[usable], float(usable.mean()))
 
     def resampling(self, homography: FloatArray) -> FloatArray:
         """Return how far each singular value of raw -> corrected departs from 1, (2 N,)."""

@@ -44,12 +44,12 @@ def board_errors(result: CalibrationResult) -> str:
 def row_differences(result: CalibrationResult) -> str:
     """Draw the row differences of all marks before and after correction (Table 1)."""
     groups = (
-        (result.uncorrected_rows_px, '#c8553d'),
+        (result.planar.row_difference_px, '#c8553d'),
         (result.corrected.row_difference_px, METHODS['corrected']),
         (result.adjusted.row_difference_px, METHODS['adjusted']),
     )
     distance = result.marks_m[..., 2]
-    extent = np.nanmax(np.abs(result.uncorrected_rows_px))
+    extent = np.nanmax(np.abs(result.planar.row_difference_px))
     extent = 1.1 * max(extent, np.nanmax(np.abs(result.corrected.row_difference_px)))
     chart = Chart(
         _limits(distance), (-extent, extent), labels=('distance, m', 'left row - right row, px')

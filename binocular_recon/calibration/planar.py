@@ -17,6 +17,7 @@ import numpy as np
 from binocular_recon.calibration._linearisation import State, predict
 from binocular_recon.calibration.bundle_adjustment import (
     NOISE_FLOOR_PX,
+    Mask,
     Problem,
     free_parameters,
     minimise,
@@ -28,6 +29,8 @@ from binocular_recon.errors import CalibrationError
 
 # Marks of a board that one camera must see for a homography that means something.
 MIN_MARKS = 6
+# Boards that Zhang's method starts from; the refinement that follows uses all.
+_ZHANG_BOARDS = 20
 # A third radial term, or a rational model, is not determined by the marks of a few boards;
 # `distortion` adds terms where the marks call for them.
 DEFAULT_COEFFICIENTS = ('k1', 'k2', 'p1', 'p2')
@@ -96,20 +99,22 @@ def calibrate_planar(
 def _calibrate_camera(
     points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]
 ) -> CameraEstimate:
-    world, image = [], []
-    for board in pixels:
-        seen = np.isfinite(board).all(axis=-1)
-        world.append(np.ascontiguousarray(points[seen], np.float32)[:, None])
-        image.append(np.ascontiguousarray(board[seen], np.float32)[:, None])
+    seen: Mask = np.all(np.isfinite(pixels), axis=-1)
+    # the effort of OpenCV's method grows with the third power of the number of boards
+    some = np.unique(np.linspace(0, len(pixels) - 1, _ZHANG_BOARDS).astype(int))
     try:
-        K, D, turns, shifts = cv2.calibrateCamera(
-            world,
-            image,
+        K, D = cv2.calibrateCamera(
+            [np.ascontiguousarray(points[seen[i]], np.float32)[:, None] for i in some],
+            [np.ascontiguousarray(pixels[i][seen[i]], np.float32)[:, None] for i in some],
             image_size,
             first_guess(points, pixels, image_size),
             np.zeros(5),
             flags=_FLAGS,
-        )[1:5]
+        )[1:3]
+        poses = [
+            cv2.solvePnP(points[found], board[found], K, D)[1:]
+            for board, found in zip(pixels, seen, strict=True)
+        ]
     except cv2.error as error:
         raise CalibrationError(
             f'no camera fits the marks ({error.err or error}); check that rods.yaml states the'
@@ -118,8 +123,8 @@ def _calibrate_camera(
     return CameraEstimate(
         K=K,
         D=D.ravel(),
-        rotations=np.array([cv2.Rodrigues(turn)[0] for turn in turns]),
-        translations_m=np.array(shifts).reshape(-1, 3),
+        rotations=np.array([cv2.Rodrigues(turn)[0] for turn, _ in poses]),
+        translations_m=np.array([shift.ravel() for _, shift in poses]),
     )
 
 

@@ -139,7 +139,7 @@ def _methods(result: CalibrationResult) -> str:
 def _rows(result: CalibrationResult) -> str:
     rows = []
     for name, differences in (
-        ('uncorrected', result.uncorrected_rows_px),
+        ('uncorrected', result.planar.row_difference_px),
         ('corrected (planar calibration)', result.corrected.row_difference_px),
         ('adjusted calibration', result.adjusted.row_difference_px),
     ):

@@ -45,7 +45,8 @@ class Stage:
         Marks reconstructed from both pictures in this calibration's left camera; NaN = not seen
         by both.
     row_difference_px : (B, R, M) float64
-        Row in the left minus row in the right picture; NaN = not seen by both.
+        Row in the left minus row in the right picture, of the original pictures (planar) or the
+        rectified ones (corrected, adjusted); NaN = not seen by both.
 
     """
 
@@ -82,8 +83,6 @@ class CalibrationResult:
         The adjusted calibration with the R and P that rectify it.
     planar, corrected, adjusted : Stage
         Zhang's method; the same after polar-line correction; the joint adjustment.
-    uncorrected_rows_px : (B, R, M) float64
-        Row differences of the marks in the original pictures.
     estimate : Estimate
         Adjusted parameters, their covariance, the noise found.
     evidence : tuple of Evidence
@@ -104,7 +103,6 @@ class CalibrationResult:
     planar: Stage
     corrected: Stage
     adjusted: Stage
-    uncorrected_rows_px: FloatArray
     estimate: Estimate
     evidence: tuple[Evidence, ...]
     model: str
@@ -190,7 +188,7 @@ class CalibrationResult:
             },
             'boards': self._boards(),
             'row_difference_px': {
-                'uncorrected': row_statistics(self.uncorrected_rows_px),
+                'uncorrected': row_statistics(self.planar.row_difference_px),
                 'corrected': row_statistics(self.corrected.row_difference_px),
                 'adjusted': row_statistics(self.adjusted.row_difference_px),
             },

@@ -90,6 +90,26 @@ def usable_boards(
     return usable, lost
 
 
+def complaint(
+    capture: Capture, target: Target, image_size: tuple[int, int], others: Sequence[Capture]
+) -> str | None:
+    """Say why a board cannot be used beside others, None if it can; see `usable_boards`."""
+    return (
+        _too_few_marks(capture, target)
+        or _misfit(capture, target, image_size)
+        or _repetition(capture, others)
+    )
+
+
+def displacement_px(capture: Capture, other: Capture) -> float:
+    """Return by how much the marks of two captures differ (median), px; NaN if none is common."""
+    moves = np.linalg.norm(
+        [capture.left_px - other.left_px, capture.right_px - other.right_px], axis=-1
+    )
+    common = np.isfinite(moves)
+    return float(np.median(moves[common])) if common.any() else float('nan')
+
+
 def check_count(usable: int, rejected: Sequence[Rejected]) -> None:
     """Raise a CalibrationError that says how many boards are missing and why."""
     if usable >= MIN_BOARDS:
@@ -192,15 +212,7 @@ def _misfit(capture: Capture, target: Target, image_size: tuple[int, int]) -> st
 
 def _repetition(capture: Capture, others: Sequence[Capture]) -> str | None:
     for other in others:
-        moves = [
-            np.linalg.norm(mine - theirs, axis=-1)
-            for mine, theirs in (
-                (capture.left_px, other.left_px),
-                (capture.right_px, other.right_px),
-            )
-        ]
-        common = np.isfinite(moves)
-        if common.any() and float(np.median(np.array(moves)[common])) < REPEATED_PX:
+        if displacement_px(capture, other) < REPEATED_PX:
             return f'it repeats board {other.name}: the rods were not moved in between'
     return None
 

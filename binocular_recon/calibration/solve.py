@@ -35,7 +35,8 @@ from binocular_recon.calibration.screening import (
 from binocular_recon.calibration.stereo_calibration import StereoCalibration
 from binocular_recon.calibration.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
-from binocular_recon.camera import FloatArray, StereoRig
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import CalibrationError
 
 # Noise of a mark before anything is known, px.
 FIRST_SIGMA_PX = 0.3
@@ -86,7 +87,6 @@ def solve(
     say = progress or _silent
     say('planar calibration (Zhang)')
     planar = calibrate_planar(observed, target, image_size)
-    check_order(planar.calibration)
 
     say('joint adjustment of cameras and rods')
     problem = Problem(
@@ -95,35 +95,56 @@ def solve(
     adjusted, evidence, model = _adjust(problem, planar)
     lost += [Rejected(usable[i].name, reason) for i, reason in adjusted.bad_boards.items()]
     check_count(len(adjusted.boards), lost)
+    check_result(adjusted)
+    check_order(adjusted.state.calibration)
 
     say('polar-line correction and recalibration')
     used = adjusted.problem.observed_px
-    planar = calibrate_planar(used, target, image_size)
-    recalibrated = recalibrate(used, target, planar.calibration)
-    corrected = Stage(
-        calibration=recalibrated.state.calibration,
-        residuals_px=used - recalibrated.predicted_px,
-        marks_m=triangulated(recalibrated.state.calibration, recalibrated.corrected_px),
-        row_difference_px=_rows(
-            corrected_marks(used, planar.calibration, free_pair(planar.calibration))
-        ),
-    )
-    check_result(adjusted, [usable[i].name for i in adjusted.boards])
+    if adjusted.bad_boards or adjusted.outliers.any():
+        # all three methods are given the same marks
+        planar = calibrate_planar(used, target, image_size)
+    corrected, notes = _corrected(used, target, planar, adjusted.state)
     rig = metric_rig(adjusted.state.calibration)
+    rectified = corrected_marks(
+        used, adjusted.state.calibration, correction_of(adjusted.state.calibration, rig)
+    )
     return CalibrationResult(
         names=tuple(usable[i].name for i in adjusted.boards),
         rig=rig,
-        planar=_stage(planar, target.as_drawn(), used, metric_rig(planar.calibration)),
+        planar=_stage(planar, target.as_drawn(), used, _rows(used)),
         corrected=corrected,
-        adjusted=_stage(adjusted.state, target, used, rig),
-        uncorrected_rows_px=_rows(used),
+        adjusted=_stage(adjusted.state, target, used, _rows(rectified)),
         estimate=adjusted,
         evidence=evidence,
         model=model,
         rejected=tuple(lost),
-        warnings=warnings_of(adjusted),
+        warnings=warnings_of(adjusted) + notes,
         advice=advise(adjusted),
     )
+
+
+def _corrected(
+    used: FloatArray, target: Target, planar: State, adjusted: State
+) -> tuple[Stage, tuple[str, ...]]:
+    """Calibrate again after correction with the planar calibration; what is odd, in words."""
+    notes: tuple[str, ...] = ()
+    start = planar.calibration
+    try:
+        again = recalibrate(used, target, start)
+        pair = free_pair(start)
+    except CalibrationError as error:
+        # few boards of carelessly placed rods: the adjustment still works, Zhang's method does not
+        notes = (f'polar-line correction started from the adjusted calibration: {error}',)
+        start = adjusted.calibration
+        again = recalibrate(used, target, start)
+        pair = free_pair(start)
+    stage = Stage(
+        calibration=again.state.calibration,
+        residuals_px=used - again.predicted_px,
+        marks_m=triangulated(again.state.calibration, again.corrected_px),
+        row_difference_px=_rows(corrected_marks(used, start, pair)),
+    )
+    return stage, notes
 
 
 def triangulated(calibration: StereoCalibration, marks_px: FloatArray) -> FloatArray:
@@ -162,14 +183,12 @@ def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, .
     return found, evidence, model
 
 
-def _stage(state: State, target: Target, used: FloatArray, rig: StereoRig) -> Stage:
+def _stage(state: State, target: Target, used: FloatArray, rows: FloatArray) -> Stage:
     return Stage(
         calibration=state.calibration,
         residuals_px=used - predict(state, target),
         marks_m=triangulated(state.calibration, used),
-        row_difference_px=_rows(
-            corrected_marks(used, state.calibration, correction_of(state.calibration, rig))
-        ),
+        row_difference_px=rows,
     )
 
 

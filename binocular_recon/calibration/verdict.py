@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from binocular_recon.calibration._homography import Picture
 from binocular_recon.calibration._linearisation import linearise, marks_in_left
 from binocular_recon.calibration.estimation import Estimate
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
@@ -17,7 +16,8 @@ from binocular_recon.errors import CalibrationError
 # Marks of a good detector scatter by 0.1 to 0.3 px.
 NOISE_WARNING_PX, NOISE_LIMIT_PX = 0.6, 3.0
 # A mark that is left out in this share of the boards is not where it is said to be.
-CONTRADICTION_SHARE = 0.5
+# Where this share of all marks is left out, no single mark is to blame.
+CONTRADICTION_SHARE, OUTLIER_SHARE = 0.5, 0.3
 # Displacements of a rod, as shares of the rods' spacing, that no crew produces: its typical
 # one, and the one it has in all boards alike.
 DISPLACEMENT_SHARE, COMMON_SHARE = 0.05, 0.03
@@ -27,20 +27,11 @@ MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
 DEPTH_LIMIT = 0.1
 
 
-def check_result(found: Estimate, names: Sequence[str]) -> None:
-    """Raise a CalibrationError if the marks contradict the description or leave depth open.
-
-    Parameters
-    ----------
-    found : Estimate
-        Finished adjustment.
-    names : sequence of str
-        Names of the boards used.
-
-    """
-    _check_marks(found)
-    _check_noise(found, names)
+def check_result(found: Estimate) -> None:
+    """Raise a CalibrationError if the marks contradict the description or leave depth open."""
+    _check_noise(found)
     _check_placement(found)
+    _check_marks(found)
     _check_depth(found)
 
 
@@ -65,6 +56,13 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
             ' check the positions in rods.yaml'
         )
     warnings += _misplaced_marks(found)
+    for side in ('left', 'right'):
+        unusable = 1 - Picture.of(found.state.calibration, side).usable_share
+        if unusable > 0:
+            warnings.append(
+                f'lens distortion of the {side} camera is not known in {unusable:.0%} of its'
+                ' picture, where no marks were seen; capture boards near its corners'
+            )
     noise = float(problem.sigma_px.max())
     if noise > NOISE_WARNING_PX:
         exact = problem.target.has_rods and not problem.free_deviations.any()
@@ -81,7 +79,8 @@ def _check_marks(found: Estimate) -> None:
     left_out = np.any(found.outliers, axis=-1)
     given = left_out | np.any(found.problem.seen, axis=-1)
     shares = left_out.sum(axis=0) / np.maximum(given.sum(axis=0), 1)
-    if len(found.boards) > MIN_BOARDS and shares.max() >= CONTRADICTION_SHARE:
+    few = left_out.sum() < OUTLIER_SHARE * given.sum()
+    if few and len(found.boards) > MIN_BOARDS and shares.max() >= CONTRADICTION_SHARE:
         rod, mark = np.unravel_index(int(np.argmax(shares)), shares.shape)
         what = (
             f'mark {mark + 1} of rod {rod + 1}'
@@ -95,13 +94,13 @@ def _check_marks(found: Estimate) -> None:
         )
 
 
-def _check_noise(found: Estimate, names: Sequence[str]) -> None:
+def _check_noise(found: Estimate) -> None:
     noise = float(found.problem.sigma_px.max())
     if noise > NOISE_LIMIT_PX:
         raise CalibrationError(
-            f'the marks of {len(names)} boards miss the best calibration by {noise:.1f} px (limit'
-            f' {NOISE_LIMIT_PX:g} px): check the heights of the marks, the positions of the rods'
-            ' and that both pictures of a board were taken at the same time'
+            f'the marks of {len(found.boards)} boards miss the best calibration by {noise:.1f} px'
+            f' (limit {NOISE_LIMIT_PX:g} px): check the heights of the marks, the positions of the'
+            ' rods and that both pictures of a board were taken at the same time'
         )
 
 

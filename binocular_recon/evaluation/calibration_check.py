@@ -8,7 +8,7 @@ estimator can beat with the same boards and noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -141,9 +141,8 @@ def check_rows(
     for placement in placements_m:
         means = []
         for set_ in range(sets):
-            rng = np.random.default_rng([set_, 1])
-            placed = _boards(rig, placement, 2 * boards, rng, (set_, 2))
-            captures = _captures(rig, placed, rng, ROWS_NOISE_PX)
+            placed = simulated_boards(rig, placement, 2 * boards, set_, 0)
+            captures = simulated_captures(rig, placed, ROWS_NOISE_PX, (set_, 0))
             result = solve(captures[:boards], placed[0].board, rig.left.size)
             means.append(_held_out_rows(result, captures[boards:]))
         yield RowsRow(placement, *(float(value) for value in np.mean(means, axis=0)))
@@ -212,9 +211,8 @@ def _accuracy_run(
     rig: RawRig, placement_m: float, boards: int, seed: tuple[int, int]
 ) -> tuple[FloatArray, ...]:
     """Return depth error, bound, stated sigma, planar depth error, and Table 2's averages."""
-    # the poses depend on the set only
-    placed = _boards(rig, placement_m, boards, np.random.default_rng(seed[0]), seed)
-    captures = _captures(rig, placed, np.random.default_rng([*seed, 2]), BOUND_NOISE_PX)
+    placed = simulated_boards(rig, placement_m, boards, *seed)
+    captures = simulated_captures(rig, placed, BOUND_NOISE_PX, seed)
     result = solve(captures, placed[0].board, rig.left.size)
     truth = true_calibration(rig)
     stated = depth_sigma_m(
@@ -233,34 +231,33 @@ def _accuracy_run(
     )
 
 
-def _boards(
-    rig: RawRig, placement_m: float, count: int, poses: np.random.Generator, seed: Iterable[int]
+def simulated_boards(
+    rig: RawRig, placement_m: float, count: int, set_: int, draw: int
 ) -> list[PlacedBoard]:
-    """Draw boards whose poses and placement errors come from different generators."""
+    """Draw boards of the paper; their poses depend on ``set_`` only, their errors on both."""
     board = with_placement(paper_board(), placement_m)
-    errors = np.random.default_rng([*seed, 1])
-    # drawn as if exact, so that the poses are the same at every placement error
-    exact = [draw_board(with_placement(board, 0.0), rig, poses) for _ in range(count)]
+    exact, poses = with_placement(board, 0.0), np.random.default_rng(set_)
+    errors = np.random.default_rng([set_, draw, 1])
     middle = np.array([board.rods_xz_m[:, 0].mean(), 0, 0])
-    return [
-        place_board(
-            board,
-            cv2.Rodrigues(placed.rotation @ FACING_CAMERA.T)[0].ravel(),
-            placed.translation_xyz + placed.rotation @ middle,
-            errors,
-        )
-        for placed in exact
-    ]
+    boards = []
+    for _ in range(count):
+        placed = draw_board(exact, rig, poses)
+        turn = cv2.Rodrigues(placed.rotation @ FACING_CAMERA.T)[0].ravel()
+        place = placed.translation_xyz + placed.rotation @ middle
+        boards.append(place_board(board, turn, place, errors))
+    return boards
 
 
-def _captures(
-    rig: RawRig, placed: list[PlacedBoard], rng: np.random.Generator, noise_px: float
+def simulated_captures(
+    rig: RawRig, placed: list[PlacedBoard], noise_px: float, seed: Sequence[int]
 ) -> list[Capture]:
+    """Return the marks of boards as both cameras see them, with Gaussian noise on u and v."""
+    rng = np.random.default_rng([*seed, 2])
     captures = []
     for index, board in enumerate(placed):
         left, right = (board.borders_px(view) for view in rig.views())
         left, right = (px + rng.normal(0, noise_px, px.shape) for px in (left, right))
-        captures.append(Capture(f'{index + 1}', left, right))
+        captures.append(Capture(f'{index + 1:02d}', left, right))
     return captures
 
 

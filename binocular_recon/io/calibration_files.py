@@ -7,7 +7,6 @@ before are in ``previous/``.
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from binocular_recon.calibration.report import render_report
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import write_rig
-from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.io.files import complete_file, flush, make_folder, write_json
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
 PREVIOUS = 'previous'
@@ -63,8 +62,8 @@ def save_calibration(
         with complete_file(partial / 'report.html') as file:
             file.write(render_report(result).encode())
         for path in partial.iterdir():
-            _flush(path)
-        _flush(partial)
+            flush(path)
+        flush(partial)
         partial.rename(folder / _COMPLETE)
     except OSError as error:
         raise _failure(folder, error) from error
@@ -88,26 +87,17 @@ def finish_saving(folder: Path) -> None:
         return
     previous = folder / PREVIOUS
     try:
-        previous.mkdir(exist_ok=True)
         for name in FILES:
             # a file that has taken its place before the interruption is no longer here
             if (complete / name).exists():
                 if (folder / name).exists():
+                    previous.mkdir(exist_ok=True)
                     (folder / name).replace(previous / name)
                 (complete / name).replace(folder / name)
         complete.rmdir()
-        _flush(folder)
+        flush(folder)
     except OSError as error:
         raise _failure(folder, error) from error
-
-
-def _flush(path: Path) -> None:
-    """Make sure that a file, or the names in a folder, survive a power cut."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _failure(folder: Path, error: OSError) -> FileError:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,6 +154,18 @@ def read_captures(
             readings.append(reading)
             if told is not None:
                 told(reading)
+    return capture_set(readings, folder)
+
+
+def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
+    """Separate the boards of a folder that were found from those that were not.
+
+    Raises
+    ------
+    CalibrationError
+        If no board could be found in any pair of pictures.
+
+    """
     sizes = Counter(reading.size for reading in readings if reading.capture and reading.size)
     if not sizes:
         reasons = '; '.join(f'{reading.files.name}: {reading.reason}' for reading in readings[:3])

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated marks for the tests of calibration, and slow, obvious twins of its formulas."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from binocular_recon.calibration.result import CalibrationResult
+from binocular_recon.calibration.rods import Capture, RodBoard
+from binocular_recon.calibration.solve import solve
+from binocular_recon.calibration.stereo_calibration import StereoCalibration
+from binocular_recon.camera import FloatArray
+from binocular_recon.evaluation.calibration_check import (
+    simulated_boards,
+    simulated_captures,
+    true_calibration,
+)
+from binocular_recon.simulation.rig import survey_rig
+from binocular_recon.simulation.rods import paper_board, with_placement
+
+DATA = Path(__file__).parent / 'data'
+CHESSBOARD = DATA / 'chessboard_points.csv'
+SIZE = (1920, 1200)
+
+
+def board_of(placement_m: float) -> RodBoard:
+    """Return the paper's board with a stated placement error."""
+    return with_placement(paper_board(), placement_m)
+
+
+def captures_of(
+    placement_m: float = 0.005, boards: int = 11, *, seed: int = 0, noise_px: float = 0.2
+) -> list[Capture]:
+    """Simulate the marks of boards with the survey rig."""
+    rig = survey_rig()
+    placed = simulated_boards(rig, placement_m, boards, seed, 0)
+    return simulated_captures(rig, placed, noise_px, (seed, 0))
+
+
+def truth() -> StereoCalibration:
+    """Return the survey rig."""
+    return true_calibration(survey_rig())
+
+
+@functools.cache
+def solved(placement_m: float = 0.005) -> CalibrationResult:
+    """Return a calibration of eleven boards; computed once for all tests."""
+    return solve(captures_of(placement_m), board_of(placement_m), SIZE)
+
+
+def numeric_jacobian(
+    function: Callable[[FloatArray], FloatArray], at: FloatArray, step: float = 1e-6
+) -> FloatArray:
+    """Return derivatives by central differences, (values, parameters)."""
+    columns = []
+    for index in range(at.size):
+        move = np.zeros_like(at)
+        move[index] = step * max(1.0, abs(at[index]))
+        difference = function(at + move) - function(at - move)
+        columns.append(difference.ravel() / (2 * move[index]))
+    return np.stack(columns, axis=-1)
+
+
+def naive_marks(
+    calibration: StereoCalibration,
+    pose: FloatArray,
+    deviations: FloatArray,
+    board: RodBoard,
+) -> FloatArray:
+    """Project every mark of a board one by one: (R, M, 4) px.
+
+    ``pose`` is a rotation vector and a translation, ``deviations`` (R, 5) are x, y, z of the foot
+    and the lean towards x and z.
+    """
+    turn = cv2.Rodrigues(pose[:3])[0]
+    pixels = np.empty((board.count, board.marks_per_rod, 4))
+    for r, (x, z) in enumerate(board.rods_xz_m):
+        direction = np.array([deviations[r, 3], 1.0, deviations[r, 4]])
+        direction /= np.sqrt(direction @ direction)
+        foot = np.array([x, 0.0, z]) + deviations[r, :3]
+        for m, height in enumerate(board.marks_m):
+            mark = turn @ (foot + height * direction) + pose[3:]
+            along = turn @ direction
+            for k, side in enumerate(('left', 'right')):
+                K, D, R, T = calibration.side(side)
+                sight = -R.T @ T - mark
+                sight = sight - (sight @ along) * along
+                border = mark + board.rod_diameter_m / 2 * sight / np.sqrt(sight @ sight)
+                projected = cv2.projectPoints(border[None], cv2.Rodrigues(R)[0], T, K, D)[0]
+                pixels[r, m, 2 * k : 2 * k + 2] = projected.ravel()
+    return pixels
+
+
+def naive_bound_m(captured: list[tuple[FloatArray, RodBoard]], noise_px: float) -> FloatArray:
+    """Return the Cramer-Rao bound of depth at 10, 15, 20 m by dense numerical derivatives.
+
+    ``captured`` holds each board's pose and description. Returns one standard deviation, (3, 35).
+    """
+    start = truth()
+    free = [*range(8), *range(12, 20), *range(24, 30)]
+
+    def moved(step: FloatArray) -> StereoCalibration:
+        full = np.zeros(30)
+        full[free] = step
+        return start.moved(full)
+
+    information = np.zeros((22, 22))
+    for pose, board in captured:
+        rods = 5 * board.count
+
+        def marks(values: FloatArray, board: RodBoard = board) -> FloatArray:
+            return naive_marks(
+                moved(values[:22]), values[22:28], values[28:].reshape(-1, 5), board
+            )
+
+        J = numeric_jacobian(marks, np.r_[np.zeros(22), pose, np.zeros(rods)]) / noise_px
+        N = J.T @ J
+        p, h, t = board.placement_sigma_m, board.height_sigma_m, board.tilt_sigma_rad
+        sigmas = np.maximum(np.tile([p, h, p, t, t], board.count), 1e-7)
+        N[28:, 28:] += np.diag(1 / sigmas**2)
+        information += N[:22, :22] - N[:22, 22:] @ np.linalg.solve(N[22:, 22:], N[22:, :22])
+
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 7), np.linspace(-0.2, 0.2, 5))
+    rays = np.column_stack([x.ravel(), y.ravel(), np.ones(35)])
+    points = np.array([10.0, 15, 20])[:, None, None] * rays
+    left, right = (start.project(points, side) for side in ('left', 'right'))
+    J = numeric_jacobian(
+        lambda step: moved(step).triangulate(left, right)[..., 2], np.zeros(22), 1e-5
+    )
+    covariance = np.linalg.inv(information)
+    return np.asarray(np.sqrt(np.einsum('ij,jk,ik->i', J, covariance, J)).reshape(3, 35))

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Saving a calibration: complete or not at all, the one before is kept."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from binocular_recon.errors import FileError
+from binocular_recon.io import calibration_files
+from binocular_recon.io.calibration_files import FILES, finish_saving, save_calibration
+from binocular_recon.io.calibration_yaml import read_camera, read_rig
+from test.calibration_tools import solved
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in FILES}
+
+
+def test_files_hold_the_calibration(tmp_path: Path) -> None:
+    result = solved(0.005)
+    files = save_calibration(result, tmp_path / 'new' / 'rig', ('cam_l', 'cam_r'))
+    assert [path.name for path in files] == list(FILES)
+    rig = read_rig(tmp_path / 'new' / 'rig')
+    np.testing.assert_array_equal(rig.left.K, result.calibration.K_left)
+    np.testing.assert_array_equal(rig.right.P, result.rig.right.P)
+    assert rig.baseline_m == pytest.approx(result.calibration.baseline_m)
+    assert 'camera_name: cam_r' in (tmp_path / 'new' / 'rig' / 'right.yaml').read_text()
+    content = json.loads((tmp_path / 'new' / 'rig' / 'calibration.json').read_text())
+    assert content['baseline_m'] == result.calibration.baseline_m
+    assert sorted(path.name for path in (tmp_path / 'new' / 'rig').iterdir()) == sorted(FILES)
+
+
+def test_the_calibration_before_is_kept(tmp_path: Path) -> None:
+    save_calibration(solved(0.0), tmp_path)
+    before = contents(tmp_path)
+    save_calibration(solved(0.005), tmp_path)
+    assert contents(tmp_path / 'previous') == before
+    assert contents(tmp_path) != before
+
+
+@pytest.mark.parametrize('after', range(9))
+def test_an_interruption_leaves_one_whole_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+) -> None:
+    """Stop before each step that changes names in the folder, as a power cut would."""
+    save_calibration(solved(0.0), tmp_path)
+    before = contents(tmp_path)
+    steps = 0
+
+    def interrupted(original: object) -> object:
+        def step(self: Path, target: Path) -> object:
+            nonlocal steps
+            if target.parent == tmp_path or target.parent.name == 'previous':
+                steps += 1
+                if steps > after:
+                    raise KeyboardInterrupt
+            return original(self, target)  # type: ignore[operator]
+
+        return step
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, 'replace', interrupted(Path.replace))
+        patch.setattr(Path, 'rename', interrupted(Path.rename))
+        with pytest.raises(KeyboardInterrupt):
+            save_calibration(solved(0.005), tmp_path)
+    finish_saving(tmp_path)
+    now = contents(tmp_path)
+    if after == 0:
+        assert now == before
+    else:
+        assert contents(tmp_path / 'previous') == before
+        expected = solved(0.005).rig.left, solved(0.005).rig.right
+        new = read_camera(tmp_path / 'left.yaml'), read_camera(tmp_path / 'right.yaml')
+        for camera, true in zip(new, expected, strict=True):
+            np.testing.assert_array_equal(camera.P, true.P)
+    save_calibration(solved(0.005), tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted((*FILES, 'previous'))
+
+
+def test_a_full_disk_harms_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_calibration(solved(0.0), tmp_path)
+    before = contents(tmp_path)
+
+    def full(*_: object) -> None:
+        raise FileError('no space')
+
+    monkeypatch.setattr(calibration_files, 'write_json', full)
+    with pytest.raises(FileError, match='no space'):
+        save_calibration(solved(0.005), tmp_path)
+    assert contents(tmp_path) == before
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(FileError, match='cannot be made'):
+        save_calibration(solved(0.0), tmp_path / 'file' / 'rig')
+
+
+def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
+    save_calibration(solved(0.0), tmp_path / 'rig')
+    (tmp_path / 'rig' / 'previous').write_text('')
+    with pytest.raises(FileError, match=r'cannot be saved in .* the one before is unharmed'):
+        save_calibration(solved(0.005), tmp_path / 'rig')
