@@ -186,6 +186,15 @@ class CloudConfig(Options):
         1e6, 'Farther points are left out', unit='m', minimum=0.0, maximum=1e6
     )
 
+    def __post_init__(self) -> None:
+        """Check that the range is not empty."""
+        super().__post_init__()
+        if self.min_depth > self.max_depth:
+            raise ConfigError(
+                f'min_depth must be at most max_depth, got {self.min_depth:g} m and'
+                f' {self.max_depth:g} m'
+            )
+
 
 @dataclass(frozen=True)
 class ChainConfig:
