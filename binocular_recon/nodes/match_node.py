@@ -7,7 +7,7 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
-from binocular_recon.config import MatchConfig
+from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.io.disparity_messages import fill_disparity
 from binocular_recon.io.images import to_grey
 from binocular_recon.io.messages import fill_image, read_image
@@ -89,7 +89,8 @@ class MatchNode(StereoNode):
 
 def _compile_kernels() -> None:
     noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
-    match(noise, noise, MatchConfig(disparity_range=16))
+    for preset in PRESETS:
+        match(noise, noise, ChainConfig.preset(preset, disparity_range=16).match)
 
 
 def main() -> int:

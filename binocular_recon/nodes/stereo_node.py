@@ -78,6 +78,11 @@ class StereoNode(Node):
         """Offer the outputs; ``inputs`` replaces `INPUTS`."""
         options = self.options.of(InputOptions)
         self._inputs = {one.topic: one for one in inputs or self.INPUTS}
+        self._optional = {
+            one.topic: self.resolve_topic_name(one.topic)
+            for one in self._inputs.values()
+            if one.optional
+        }
         self._compressed = options.image_transport == 'compressed'
         self._synchronizer = Synchronizer(
             list(self._inputs), queue_size=options.queue_size, tolerance_ns=options.tolerance_ns
@@ -100,6 +105,10 @@ class StereoNode(Node):
     def wanted(self, *topics: str) -> bool:
         """Tell whether somebody subscribes to one of the outputs."""
         return any(self._outputs[topic].get_subscription_count() > 0 for topic in topics)
+
+    def needed(self) -> bool:
+        """Tell whether inputs are to be received now."""
+        return self.wanted(*self._outputs)
 
     def publish(self, topic: str, message: Any) -> None:
         """Send an output."""
@@ -145,19 +154,18 @@ class StereoNode(Node):
 
     def _update(self) -> None:
         """Subscribe while somebody listens to an output, and only then."""
-        wanted = self.wanted(*self._outputs)
-        if wanted and not self._listening:
+        needed = self.needed()
+        if needed and not self._listening:
             self._listening = self._subscribe()
-        elif not wanted:
+        elif not needed:
             for subscription in self._listening:
                 self.destroy_subscription(subscription)
             self._listening = []
 
     def _receive(self, topic: str, message: Any) -> None:
         self.health.received(topic)
-        for one in self._inputs.values():
-            if one.optional:
-                self._synchronizer.expect(one.topic, self.count_publishers(one.topic) > 0)
+        for optional, name in self._optional.items():
+            self._synchronizer.expect(optional, self.count_publishers(name) > 0)
         for found in self._synchronizer.add(topic, stamp_ns(message.header), message):
             self.health.received(_SETS)
             if self._worker.submit(found):

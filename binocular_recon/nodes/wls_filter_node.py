@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import CloudConfig, FilterConfig
+from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.io.cloud_messages import fill_cloud
 from binocular_recon.io.colormap import heat_map
@@ -140,10 +142,9 @@ def _compile_kernels() -> None:
     grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
     disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)
     ones = np.ones_like(grey)
-    for guide in ('left', 'disparity'):
-        filter_disparity(
-            disparity, ones, grey, FilterConfig(wls_guide=guide), limits_px=(0.0, 15.0)
-        )
+    for preset, guide in itertools.product(PRESETS, ('left', 'disparity')):
+        config = ChainConfig.preset(preset, wls_guide=guide).filter
+        filter_disparity(disparity, ones, grey, config, limits_px=(0.0, 15.0))
 
 
 def main() -> int:

@@ -67,6 +67,11 @@ def test_every_option_is_described(graph: Graph, node: Any) -> None:
         ('match_node', {'disparity_range': 'wide'}, 'wrong parameter type'),
         ('match_node', {'queue_size': 9}, 'read-only'),
         ('rectify_node', {'alpha': -0.5}, r'alpha must be -1 or within 0\.\.1, got -0\.5'),
+        (
+            'wls_filter_node',
+            {'min_depth': 9.0, 'max_depth': 5.0},
+            'min_depth must be at most max_depth, got 9 m and 5 m',
+        ),
         ('wls_filter_node', {'wls_guide': 'right'}, 'wls_guide must be one of left, disparity'),
     ],
 )
