@@ -40,7 +40,13 @@ setup(
     entry_points={
         'console_scripts': [
             f'{node} = {PACKAGE}.nodes.{node}:main'
-            for node in ('match_node', 'play_bag', 'rectify_node', 'wls_filter_node')
+            for node in (
+                'calibration_node',
+                'match_node',
+                'play_bag',
+                'rectify_node',
+                'wls_filter_node',
+            )
         ],
     },
 )

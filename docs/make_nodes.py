@@ -16,6 +16,7 @@ NODES = {
     'rectify_node': 'RectifyNode',
     'match_node': 'MatchNode',
     'wls_filter_node': 'WlsFilterNode',
+    'calibration_node': 'CalibrationNode',
 }
 INTRODUCTION = """\
 # Nodes
@@ -53,6 +54,10 @@ def page() -> str:
                 ((way, f'`{one.topic}`', _type(one.type), _remark(one)) for way, one in topics),
             )
         )
+        services = getattr(node, 'SERVICES', {})
+        if services:
+            rows = ((f'`~/{service}`', text) for service, text in services.items())
+            parts.append(_table(('service (std_srvs/Trigger)', ''), rows))
         presets = [name for name, values in PRESETS.items() if values]
         if not any(_in_presets(group) for group in node.LIVE):
             presets = []

@@ -7,14 +7,20 @@ from collections.abc import Callable, Sequence
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import (
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
 from binocular_recon.errors import BinocularReconError
 
 
-def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+def run_node(
+    make_node: Callable[[], Node], args: Sequence[str] | None = None, *, threads: int = 1
+) -> int:
     """Run a node until it is interrupted (SIGINT, SIGTERM).
 
     Parameters
@@ -23,6 +29,8 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
         Makes the node, such as its class.
     args : sequence of str, optional
         Command line; that of the process by default.
+    threads : int
+        Callbacks that can be under way at once.
 
     Returns
     -------
@@ -34,7 +42,8 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     rclpy.init(args=None if args is None else list(args))
     try:
         node = make_node()
-        rclpy.spin(node)
+        executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
+        rclpy.spin(node, executor)
     except (BinocularReconError, ParameterException) as error:
         get_logger('binocular_recon').fatal(str(error))
         return 1

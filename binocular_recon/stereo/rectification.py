@@ -41,6 +41,29 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
     return map_x, map_y
 
 
+def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
+    """Return where points of the raw picture lie in the rectified one.
+
+    Parameters
+    ----------
+    camera : Camera
+        Calibrated camera.
+    points_px : (N, 2) float64
+        Raw columns and rows, px; NaN stays NaN.
+
+    Returns
+    -------
+    points_px : (N, 2) float64
+        Rectified columns and rows, px.
+
+    """
+    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
+    points: FloatArray = module.undistortPoints(
+        points_px[:, None], camera.K, camera.D, R=camera.R, P=camera.P[:, :3]
+    )
+    return points[:, 0]
+
+
 class Rectifier:
     """Rectify picture pairs of one rig; the maps are made once.
 
@@ -159,8 +182,6 @@ def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, 
         np.stack(np.broadcast_arrays(column, row), axis=-1)
         for column, row in ((x[0], y), (x, y[0]), (x[-1], y), (x, y[-1]))
     ]
-    raw = np.concatenate(sides)[:, None]
-    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
-    points = module.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
-    left, top, right, bottom = points.reshape(4, _BORDER_SAMPLES, 2)
+    raw = np.concatenate(sides)
+    left, top, right, bottom = rectified_points(camera, raw).reshape(4, _BORDER_SAMPLES, 2)
     return left, top, right, bottom

@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rod calibration by services: capture, undo, reset, calibrate, save."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from rclpy.callback_groups import ReentrantCallbackGroup
+from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.srv import SetCameraInfo
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from binocular_recon.calibration.detection import Detection, detect_rods
+from binocular_recon.calibration.result import CalibrationResult
+from binocular_recon.calibration.rods import Capture, load_rods
+from binocular_recon.calibration.screening import complaint, displacement_px
+from binocular_recon.calibration.solve import solve
+from binocular_recon.calibration.target import Target
+from binocular_recon.camera import Camera
+from binocular_recon.config import Options, option
+from binocular_recon.errors import (
+    BinocularReconError,
+    CalibrationError,
+    ConfigError,
+    ImageError,
+)
+from binocular_recon.io.calibration_files import finish_saving, save_calibration
+from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.io.capture_store import CaptureStore
+from binocular_recon.io.detection_image import draw_detections
+from binocular_recon.io.images import Image as Picture
+from binocular_recon.io.images import to_bgr8
+from binocular_recon.io.messages import fill_camera_info, fill_image, read_image, stamp_ns
+from binocular_recon.nodes.endpoints import Input, Output
+from binocular_recon.nodes.options import CalibrationOptions, InputOptions
+from binocular_recon.nodes.running import run_node
+from binocular_recon.nodes.stereo_node import StereoNode
+from binocular_recon.nodes.worker import LatestWorker
+from binocular_recon.stereo.rectification import rectified_points
+
+# How long a capture waits for a second pair, to see whether everything stands still.
+_STILL_WITHIN_S = 1.0
+# Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
+_STILL_PX = 0.5
+_SET_CAMERA_INFO_WITHIN_S = 5.0
+# Calls that can be under way at once, besides the reception of pictures.
+_THREADS = 4
+
+
+@dataclass(frozen=True)
+class RodOptions(Options):
+    """What is captured and where it goes."""
+
+    rods: str = option('', 'File rods.yaml that describes the rods')
+    output: str = option('', 'Folder of the calibration; captures are kept in captures/ under it')
+    left_camera_name: str = option('left', 'Name of the left camera in its calibration')
+    right_camera_name: str = option('right', 'Name of the right camera in its calibration')
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    left: Picture
+    right: Picture
+    stamp_ns: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.left.shape[1], self.left.shape[0]
+
+
+class CalibrationNode(StereoNode):
+    """Capture boards of rods, calibrate from them and save the result."""
+
+    NAME = 'calibration_node'
+    INPUTS = (
+        Input('left/image_raw', Image, transported=True),
+        Input('right/image_raw', Image, transported=True),
+    )
+    OUTPUTS = (Output('detections', Image),)
+    SERVICES: ClassVar = {
+        'capture': 'find the rods in the newest pair and store it',
+        'undo': 'drop the last board',
+        'reset': 'drop all boards',
+        'calibrate': 'calibrate from all boards',
+        'save': 'write the calibration and pass it to the cameras',
+    }
+    LIVE = ()
+    FIXED = (RodOptions, InputOptions, CalibrationOptions)
+
+    def __init__(self) -> None:
+        super().__init__()
+        options = self.options.of(RodOptions)
+        for name in ('rods', 'output'):
+            if not getattr(options, name):
+                raise ConfigError(f'parameter {name} is empty; set it at the start of the node')
+        self._board = load_rods(Path(options.rods).expanduser())
+        self._target = Target.from_rods(self._board)
+        self._output = Path(options.output).expanduser()
+        self._store = CaptureStore(self._output / 'captures', self._board)
+        finish_saving(self._output)
+        folder = self.options.of(CalibrationOptions).calibration
+        self._in_use = read_rig(Path(folder).expanduser()) if folder else None
+        self._result: CalibrationResult | None = None
+        self._newest: _Pair | None = None
+        self._arrived = threading.Condition()
+        self._captured_ns: int | None = None
+        self._storing, self._solving = threading.Lock(), threading.Lock()
+        self._preview = LatestWorker(self._show)
+        self._setters: dict[str, Any] = {
+            side: self.create_client(SetCameraInfo, f'{side}/set_camera_info')
+            for side in ('left', 'right')
+        }
+        self.prepare(self._compile_kernels)
+        # each call in a thread of its own: none waits for another, nor pictures for any
+        group = ReentrantCallbackGroup()
+        for name in self.SERVICES:
+            job = getattr(self, f'_{name}')
+            self.create_service(
+                Trigger, f'~/{name}', functools.partial(self._serve, job), callback_group=group
+            )
+        self.health.state('boards', str(len(self._store.names)))
+        self.start()
+
+    def needed(self) -> bool:
+        """Receive pairs all the time: a capture takes the newest."""
+        return True
+
+    def process(self, left: Image, right: Image) -> None:
+        """Keep a pair as the newest one."""
+        pictures = [
+            read_image(message, f'{side} image').image
+            for message, side in ((left, 'left'), (right, 'right'))
+        ]
+        sizes = [f'{picture.shape[1]}x{picture.shape[0]}' for picture in pictures]
+        if sizes[0] != sizes[1]:
+            raise ImageError(f'left image is {sizes[0]}, right {sizes[1]} px; set both alike')
+        with self._arrived:
+            self._newest = _Pair(pictures[0], pictures[1], stamp_ns(left.header))
+            self._arrived.notify_all()
+        if self.wanted('detections'):
+            self._preview.submit((self._newest, left.header))
+
+    def destroy_node(self) -> None:
+        """End the preview, then the node."""
+        self._preview.close()
+        super().destroy_node()
+
+    def _serve(
+        self, job: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        try:
+            response.message = job()
+            response.success = True
+        except BinocularReconError as error:
+            response.message = str(error)
+        except Exception:  # noqa: BLE001 - a fault in one service must not end the node
+            self.health.error(traceback.format_exc())
+            response.message = f'internal error: {traceback.format_exc(limit=-1)}'
+        return response
+
+    def _capture(self) -> str:
+        with _Alone(self._storing):
+            pair = self._fresh_pair()
+            found = self._detect(pair)
+            name = f'{len(self._store.names) + 1:03d}'
+            capture = Capture(name, found[0].marks_px, found[1].marks_px)
+            missing = self._missing(found)
+            others = self._store.captures().captures if self._store.names else ()
+            reason = complaint(capture, self._target, pair.size, others)
+            if reason:
+                raise CalibrationError(f'not captured: {reason}{missing}')
+            self._check_still(pair, capture)
+            name = self._store.add(pair.left, pair.right)
+            capture = Capture(name, capture.left_px, capture.right_px)
+            self._store.keep(capture, pair.size)
+            self._captured_ns = pair.stamp_ns
+            count = len(self._store.names)
+            self.health.state('boards', str(count))
+            both = found[0].found & found[1].found
+            return (
+                f'board {name} captured ({count} so far): {both.sum()} of {both.size} marks in'
+                f' both images{missing}{self._rows(capture)}'
+            )
+
+    def _undo(self) -> str:
+        with _Alone(self._storing):
+            names = self._store.names
+            if not names:
+                raise CalibrationError('there is no board to drop')
+            self._store.drop(names[-1:])
+            self._captured_ns = None
+            self.health.state('boards', str(len(names) - 1))
+            return f'board {names[-1]} dropped, {len(names) - 1} left'
+
+    def _reset(self) -> str:
+        with _Alone(self._storing):
+            names = self._store.names
+            if names:
+                self._store.drop(names)
+            self._captured_ns = None
+            self.health.state('boards', '0')
+            return f'{len(names)} boards dropped; their pictures are in {self._store.folder}'
+
+    def _calibrate(self) -> str:
+        with _Alone(self._solving):
+            begun_s = time.monotonic()
+            with _Alone(self._storing):
+                found = self._store.captures()
+            result = solve(found.captures, self._board, found.image_size, rejected=found.rejected)
+            self._result = result
+            self.health.state('calibration', f'{len(result.names)} boards, not saved yet')
+            return f'{summary(result)}; {time.monotonic() - begun_s:.0f} s; save it'
+
+    def _save(self) -> str:
+        with _Alone(self._solving):
+            if self._result is None:
+                raise CalibrationError('there is nothing to save; calibrate first')
+            options = self.options.of(RodOptions)
+            names = options.left_camera_name, options.right_camera_name
+            save_calibration(self._result, self._output, names)
+            self.health.state('calibration', f'saved in {self._output}')
+            rig = self._result.rig
+            told = [
+                self._tell_camera(side, camera)
+                for side, camera in (('left', rig.left), ('right', rig.right))
+            ]
+            return f'saved in {self._output}; {"; ".join(told)}'
+
+    def _fresh_pair(self) -> _Pair:
+        """Return the newest pair, which no board shows yet."""
+        with self._arrived:
+            pair = self._newest
+        if pair is None:
+            raise CalibrationError(f'not captured: no synchronised pair yet; {self._why()}')
+        if pair.stamp_ns == self._captured_ns:
+            raise CalibrationError(
+                'not captured: no synchronised pair has come since the last capture; wait for'
+                ' the next one or check the cameras'
+            )
+        return pair
+
+    def _why(self) -> str:
+        """Say why no pair comes."""
+        silent = self.health.silent()
+        if silent:
+            return (
+                f'no messages on {", ".join(topic for topic in silent if topic in self._inputs)}'
+            )
+        return self._synchronizer.explain()
+
+    def _check_still(self, pair: _Pair, capture: Capture) -> None:
+        """Raise a CalibrationError if the next pair shows the marks elsewhere."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._newest is not pair, _STILL_WITHIN_S)
+            later = self._newest
+        if later is None or later is pair:
+            return
+        left, right = self._detect(later)
+        moved_px = displacement_px(capture, Capture('later', left.marks_px, right.marks_px))
+        if moved_px > _STILL_PX:
+            seconds = (later.stamp_ns - pair.stamp_ns) / 1e9
+            raise CalibrationError(
+                f'not captured: the marks moved by {moved_px:.1f} px within {seconds:.2f} s; wait'
+                ' until rods and cameras stand still'
+            )
+
+    def _detect(self, pair: _Pair) -> tuple[Detection, Detection]:
+        left, right = (
+            detect_rods(image[..., :3] if image.ndim == 3 else image, self._board)
+            for image in (pair.left, pair.right)
+        )
+        return left, right
+
+    def _missing(self, found: tuple[Detection, Detection]) -> str:
+        words = [
+            f'{message} in the {side} image'
+            for side, detection in zip(('left', 'right'), found, strict=True)
+            for message in detection.messages
+        ]
+        return f'; {"; ".join(words)}' if words else ''
+
+    def _rows(self, capture: Capture) -> str:
+        """Say how well the calibration in use rectifies the marks."""
+        if self._in_use is None:
+            return ''
+        rig = self._in_use
+        rows = [
+            rectified_points(camera, pixels.reshape(-1, 2))[:, 1]
+            for camera, pixels in ((rig.left, capture.left_px), (rig.right, capture.right_px))
+        ]
+        return (
+            '; rows of the calibration in use differ by'
+            f' {np.nanmean(np.abs(rows[0] - rows[1])):.2f} px'
+        )
+
+    def _show(self, job: tuple[_Pair, Header]) -> None:
+        """Publish a pair with what is found in it, in the preview's thread."""
+        pair, header = job
+        try:
+            pictures = to_bgr8(pair.left), to_bgr8(pair.right)
+            message = Image()
+            fill_image(message, draw_detections(pictures, self._detect(pair)), 'bgr8', header)
+            if self.context.ok():
+                self.publish('detections', message)
+        except BinocularReconError as error:
+            self.health.error(str(error))
+
+    def _tell_camera(self, side: str, camera: Camera) -> str:
+        """Pass a calibration to a camera's driver; say what came of it."""
+        service = f'{side}/set_camera_info'
+        client = self._setters[side]
+        if not client.service_is_ready():
+            return f'no {service}'
+        request = SetCameraInfo.Request(camera_info=CameraInfo())
+        fill_camera_info(request.camera_info, camera, Header())
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _future: answered.set())
+        if not answered.wait(_SET_CAMERA_INFO_WITHIN_S):
+            client.remove_pending_request(future)
+            return f'{service} did not answer within {_SET_CAMERA_INFO_WITHIN_S:g} s'
+        answer: Any = future.result()
+        return f'{service} {"took it" if answer.success else "refused"} {answer.status_message}'
+
+    def _compile_kernels(self) -> None:
+        """Find the rods in a drawing of them."""
+        scale = 500 / np.max(self._board.marks_m)
+        columns = 60 + 40 * np.arange(self._board.count)
+        image = np.full((600, columns[-1] + 60), 128, np.uint8)
+        edges = 550 - np.r_[0, self._board.marks_m * scale, 530].astype(int)
+        for column in columns:
+            for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
+                image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
+        detect_rods(image, self._board)
+
+
+class _Alone:
+    """Hold a lock, or refuse where another service does."""
+
+    def __init__(self, lock: threading.Lock) -> None:
+        self._lock = lock
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise BusyError('busy with another call; try again when it has answered')
+
+    def __exit__(self, *_error: object) -> None:
+        self._lock.release()
+
+
+class BusyError(BinocularReconError):
+    """A service is at work on the same thing."""
+
+
+def summary(result: CalibrationResult) -> str:
+    """Return what a crew wants to know of a calibration, in one sentence."""
+    calibration, sigma = result.calibration, result.sigma
+    depth_mm = 1e3 * result.depth_sigma_m(15.0)
+    left_out = '; '.join(f'{board.name} left out: {board.reason}' for board in result.rejected)
+    advice = f'; next: {result.advice[0]}' if result.advice else ''
+    return (
+        f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
+        f' baseline {1e3 * calibration.baseline_m:.1f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
+        f' depth sigma {depth_mm:.0f} mm at 15 m'
+        f'{"; " + left_out if left_out else ""}{advice}'
+    )
+
+
+def main() -> int:
+    """Run the node."""
+    return run_node(CalibrationNode, threads=_THREADS)

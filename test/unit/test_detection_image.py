@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drawings of detections."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from binocular_recon.calibration.detection import Detection
+from binocular_recon.io.detection_image import draw_detections
+
+
+def test_marks_are_drawn_where_they_were_found() -> None:
+    picture = np.zeros((240, 320, 3), np.uint8)
+    marks = np.full((2, 3, 2), np.nan)
+    marks[0] = [[200, 180], [200, 150], [200, 120]]
+    found = Detection(marks, np.full((2, 3), 0.1), ('rod 2 of 2 not found',))
+    nothing = Detection(np.full((2, 3, 2), np.nan), np.full((2, 3), np.nan), ('no rod found',))
+    drawn = draw_detections((picture, picture), (found, nothing))
+    assert drawn.shape == (240, 640, 3)
+    assert not picture.any()
+    green = drawn[..., 1] > drawn[..., 2] + 50
+    rows, columns = np.nonzero(green)
+    assert abs(columns.mean() - 200) < 2
+    assert 115 < rows.min() and rows.max() < 185
+    assert not green[:, 320:].any()
+    # words in both halves
+    assert (drawn[:40, :320] > 200).any()
+    assert (drawn[:40, 320:] > 200).any()
