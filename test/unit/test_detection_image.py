@@ -18,7 +18,7 @@ def test_marks_are_drawn_where_they_were_found() -> None:
     drawn = draw_detections((picture, picture), (found, nothing))
     assert drawn.shape == (240, 640, 3)
     assert not picture.any()
-    green = drawn[..., 1] > drawn[..., 2] + 50
+    green = drawn[..., 1].astype(int) > drawn[..., 2].astype(int) + 50
     rows, columns = np.nonzero(green)
     assert abs(columns.mean() - 200) < 2
     assert 115 < rows.min() and rows.max() < 185
