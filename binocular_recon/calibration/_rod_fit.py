@@ -18,8 +18,10 @@ from binocular_recon.calibration._rod_fit_kernels import (
     C1,
     C2,
     CURVE,
+    LEFT,
     R0,
     R1,
+    RIGHT,
     ROD_PARAMETERS,
     S1,
     S2,
@@ -291,7 +293,7 @@ def fit_border(
 
     """
     middle, up, half = rod.place(y)
-    share = min(0.85, max(0.3, (half - 0.9) / half)) if half > 0 else 0.0
+    share = min(0.9, max(0.4, (half - 0.6) / half)) if half > 0 else 0.0
     frame = np.array([*middle, *up, half, share, *reach_px])
     shade = rod.parameters[[S1, S2]]
     border = np.zeros(BORDER_PARAMETERS)
@@ -310,6 +312,9 @@ def fit_border(
         noise = max(square / count, 1.0)
         stiff[CURVE] = 1e12 if curve is not None or step < 2 else noise / 0.3**2
         stiff[BLUR] = 1e12 if blur_px is not None or step < 3 else noise / 0.3**2
+        # what is left and right is between black and white
+        stiff[LEFT] = stiff[RIGHT] = noise / 100.0**2
+        target[LEFT] = target[RIGHT] = 0.5 * (border[BELOW] + border[ABOVE])
         target[CURVE] = curve or 0.0
         target[BLUR] = blur_px or USUAL_BLUR_PX
         change = np.linalg.solve(normal + np.diag(stiff), gradient + stiff * (target - border))

@@ -208,9 +208,10 @@ def accumulate_rows(
             gradient[j] += weight * total
 
 
-# Parameters of a border: its place along the rod, levels below and above, curve, blur.
-T0, BELOW, ABOVE, CURVE, BLUR = range(5)
-BORDER_PARAMETERS = 5
+# Parameters of a border: its place along the rod, levels below and above, curve, blur, levels of
+# the background that shines in from the left and the right.
+T0, BELOW, ABOVE, CURVE, BLUR, LEFT, RIGHT = range(7)
+BORDER_PARAMETERS = 7
 
 
 @kernel
@@ -233,10 +234,11 @@ def accumulate_border(
         rod, share of it used, how far to look below and above, px.
     shade : (2,) float64
         S1, S2 of the rod.
-    border : (5,) float64
+    border : (7,) float64
         Place along the direction from the guess, px; grey levels below and above; the ring's
-        sag towards the rod's sides as a share of the half width; blur, px.
-    normal, gradient : (5, 5), (5,) float64
+        sag towards the rod's sides as a share of the half width; blur, px; grey levels to the
+        left and to the right.
+    normal, gradient : (7, 7), (7,) float64
         Added to.
 
     """
@@ -256,12 +258,16 @@ def accumulate_border(
             sag = half * (math.sqrt(max(0.0, 1 - v * v)) - 1)
             a = (t - border[T0] - border[CURVE] * sag) / border[BLUR]
             share_above = _phi(a)
-            light = shading(v, shade[0], shade[1])
+            left = 1 - _phi((u + half) / border[BLUR])
+            right = _phi((u - half) / border[BLUR])
+            light = (1 - left - right) * shading(v, shade[0], shade[1])
             step = border[ABOVE] - border[BELOW]
             value = light * (border[BELOW] + step * share_above)
+            value += left * border[LEFT] + right * border[RIGHT]
             slope = -light * step * _density(a) / border[BLUR]
             jacobian[T0], jacobian[CURVE], jacobian[BLUR] = slope, slope * sag, slope * a
             jacobian[BELOW], jacobian[ABOVE] = light * (1 - share_above), light * share_above
+            jacobian[LEFT], jacobian[RIGHT] = left, right
             residual = image[y, x] - value
             square += residual * residual
             count += 1

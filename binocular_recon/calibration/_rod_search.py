@@ -61,7 +61,9 @@ class Borders(NamedTuple):
     middle: FloatImage
 
 
-def find_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list[Track]:
+def find_tracks(
+    grey: FloatImage, board: RodBoard, threshold: float, leans: tuple[float, ...] = (0.0,)
+) -> list[Track]:
     """Return rows of borders that may be rods, the best first, each place once.
 
     Parameters
@@ -72,8 +74,37 @@ def find_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list[Tra
         Heights of the marks and the rods' diameter.
     threshold : float
         Least step of a border, grey levels.
+    leans : tuple of float
+        Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and up
+        to 20 on a quiet background.
 
     """
+    tracks = [track for lean in leans for track in _leaning_tracks(grey, board, threshold, lean)]
+    tracks.sort(key=lambda track: -track.score)
+    return _each_place_once(tracks)
+
+
+def _leaning_tracks(
+    grey: FloatImage, board: RodBoard, threshold: float, lean: float
+) -> list[Track]:
+    """Return the tracks of rods with slope dx / dy near ``lean``: upright once it is sheared away."""
+    if not lean:
+        return _upright_tracks(grey, board, threshold)
+    height, width = grey.shape
+    offset = lean * height if lean > 0 else 0.0
+    shear = np.array([[1.0, -lean, offset], [0.0, 1.0, 0.0]])
+    size = (width + int(abs(lean) * height) + 1, height)
+    upright = cv2.warpAffine(grey, shear, size, borderMode=cv2.BORDER_REPLICATE)
+    tracks = []
+    for track in _upright_tracks(upright, board, threshold):
+        points = track.points_px.copy()
+        points[:, 0] += lean * points[:, 1] - offset
+        tracks.append(track._replace(points_px=points))
+    return tracks
+
+
+def _upright_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list[Track]:
+    """Return the tracks at every width."""
     tracks: list[Track] = []
     level, scale = grey, 1.0
     for _ in range(LEVELS):
@@ -83,8 +114,7 @@ def find_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list[Tra
             borders = _find_borders(level, width, threshold)
             tracks += _string(borders, board, width, scale)
         level, scale = cv2.pyrDown(level), 2 * scale
-    tracks.sort(key=lambda track: -track.score)
-    return _each_place_once(tracks)
+    return tracks
 
 
 def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:

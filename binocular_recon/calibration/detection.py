@@ -30,6 +30,9 @@ FloatImage = npt.NDArray[np.float32]
 FULL_RANGE = 255.0
 # Least step of a border, in levels of the stretched picture and in standard deviations of noise.
 LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+# With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
+ENOUGH = 0.6
+FURTHER_LEANS = (-0.22, 0.22)
 # By how many marks (missing ones count half) an identity must beat every other one.
 CLEAR_MARGIN = 1.5
 # Marks nearer to the frame than this may be missed, px.
@@ -89,20 +92,21 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
 
     """
     best: Detection | None = None
-    for grey in _channels(image):
-        detection = _detect(grey, board)
-        if best is None or detection.found.sum() > best.found.sum():
-            best = detection
-        if best.found.all():
-            break
+    for leans in ((0.0,), (0.0, *FURTHER_LEANS)):
+        for grey in _channels(image):
+            detection = _detect(grey, board, leans)
+            if best is None or detection.found.sum() > best.found.sum():
+                best = detection
+            if best.found.mean() >= ENOUGH:
+                return best
     assert best is not None
     return best
 
 
-def _detect(grey: FloatImage, board: RodBoard) -> Detection:
+def _detect(grey: FloatImage, board: RodBoard, leans: tuple[float, ...]) -> Detection:
     stretched, threshold = _stretch(grey)
     size = grey.shape[1], grey.shape[0]
-    rough, width = identify(find_tracks(stretched, board, threshold), board, size)
+    rough, width = identify(find_tracks(stretched, board, threshold, leans), board, size)
     if not np.isfinite(rough).any():
         return Detection(rough, rough[..., 0], ('no rod found',))
     refined = _measure(stretched, board, rough, width)
