@@ -87,6 +87,7 @@ def usable_boards(
             f' {_listed(lost[-1:])}); check the positions of the rods and the heights of the marks'
         )
     check_count(len(usable), lost)
+    _check_rods(usable, target)
     return usable, lost
 
 
@@ -167,6 +168,19 @@ def _check_shape(capture: Capture, target: Target) -> None:
                 f'{side} marks of {capture.name} have shape {pixels.shape}, expected {expected}'
                 ' (rods, marks per rod, 2); detect them with the same rods.yaml'
             )
+
+
+def _check_rods(captures: Sequence[Capture], target: Target) -> None:
+    """Raise a CalibrationError if rods are described that no picture shows."""
+    if not target.has_rods:
+        return
+    seen = np.any(np.isfinite(observations(captures)), axis=(0, 2, 3))
+    if not seen.all():
+        absent = ', '.join(str(rod + 1) for rod in np.flatnonzero(~seen))
+        raise CalibrationError(
+            f'rods.yaml describes {len(seen)} rods, but rod {absent} was found on none of the'
+            f' {len(captures)} boards; describe the rods that stand there'
+        )
 
 
 def _too_few_marks(capture: Capture, target: Target) -> str | None:

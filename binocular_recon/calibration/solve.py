@@ -95,7 +95,6 @@ def solve(
     adjusted, evidence, model = _adjust(problem, planar)
     lost += [Rejected(usable[i].name, reason) for i, reason in adjusted.bad_boards.items()]
     check_count(len(adjusted.boards), lost)
-    check_result(adjusted)
     check_order(adjusted.state.calibration)
 
     say('polar-line correction and recalibration')
@@ -162,6 +161,7 @@ def _silent(_step: str) -> None:
 def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, ...], str]:
     """Adjust with the default distortion model, and again if the marks call for another."""
     found = estimate(problem, start)
+    check_result(found)
     evidence = compare_models(found.problem, found.state)
     model = choose_model(evidence)
     if model != DEFAULT_MODEL:
@@ -180,6 +180,7 @@ def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, .
             bad_boards=found.bad_boards
             | {int(boards[i]): reason for i, reason in again.bad_boards.items()},
         )
+        check_result(found)
     return found, evidence, model
 
 

@@ -160,6 +160,22 @@ def test_too_few_boards_says_how_many_and_why() -> None:
     assert '02: 0 of 30 marks found in both pictures' in str(e.value)
 
 
+def test_rods_that_are_not_there_are_named() -> None:
+    more = RodBoard.from_mapping(
+        {**board_of(0.005).to_mapping(), 'rods': [{'x': 0.6 * i} for i in range(7)]}
+    )
+    missing = ((0, 2), (0, 0), (0, 0))
+    captures = [
+        Capture(
+            c.name,
+            *(np.pad(px, missing, constant_values=np.nan) for px in (c.left_px, c.right_px)),
+        )
+        for c in captures_of()
+    ]
+    with pytest.raises(CalibrationError, match='describes 7 rods, but rod 6, 7 was found on none'):
+        solve(captures, more, SIZE)
+
+
 def test_boards_of_one_rod_are_named() -> None:
     captures = captures_of(boards=4)
     for index in range(2):

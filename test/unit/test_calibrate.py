@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate`` from pictures and from points, with the mishaps that pictures bring."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from binocular_recon.calibration.rods import save_rods
+from binocular_recon.cli.main import main
+from binocular_recon.evaluation import calibration_check
+from binocular_recon.evaluation.calibration_check import AccuracyRow, RowsRow
+from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.io.captures import find_boards, read_captures
+from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
+from binocular_recon.simulation.rig import survey_rig
+from binocular_recon.simulation.rods import paper_board
+from test.calibration_tools import CHESSBOARD
+
+BOARD = paper_board(0.002)
+# half the size of the survey rig's pictures, so boards stand at half the distance
+RIG = survey_rig(scale=0.5)
+OPTIONS = CaptureOptions(depth_m=(3.0, 8.0))
+
+
+@pytest.fixture(scope='module')
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six boards, of which one cannot be read, one lacks a picture and one has another size."""
+    folder = tmp_path_factory.mktemp('captures')
+    for index in range(5):
+        capture = simulate_capture(BOARD, RIG, np.random.default_rng([7, index]), OPTIONS)
+        for side, image in (('left', capture.left), ('right', capture.right)):
+            cv2.imwrite(str(folder / f'{side}_{index}.png'), image)
+    (folder / 'left_5.png').write_bytes(b'not a picture')
+    cv2.imwrite(str(folder / 'right_5.png'), np.zeros((600, 960), np.uint8))
+    cv2.imwrite(str(folder / 'left_6.png'), np.zeros((600, 960), np.uint8))
+    for side, size in (('left', (480, 640)), ('right', (600, 960))):
+        cv2.imwrite(str(folder / f'{side}_7.png'), np.zeros(size, np.uint8))
+    cv2.imwrite(str(folder / 'left_8.png'), np.zeros((600, 960), np.uint8))
+    cv2.imwrite(str(folder / 'right_8.png'), np.zeros((600, 960), np.uint8))
+    (folder / 'notes.txt').write_text('not a board')
+    save_rods(BOARD, folder / 'rods.yaml')
+    return folder
+
+
+def calibrate(*args: object) -> int:
+    return main(['calibrate', *map(str, args)])
+
+
+def test_pictures_to_a_calibrated_rig(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / 'rig'
+    assert calibrate(pictures, '--rods', pictures / 'rods.yaml', '--output', output) == 0
+    text = capsys.readouterr().out
+    content = json.loads((output / 'calibration.json').read_text())
+    assert [board['name'] for board in content['boards']] == list('01234')
+    reasons = {board['name']: board['reason'] for board in content['rejected']}
+    assert 'left_5.png is no picture' in reasons['5']
+    assert reasons['6'] == 'there is no right picture'
+    assert '640x480' in reasons['7'] and '960x600' in reasons['7']
+    assert 'no rod found' in reasons['8']
+    assert all(f'left out: {name}: ' in text for name in reasons)
+    rig = read_rig(output)
+    assert rig.left.size == (960, 600)
+    assert abs(rig.baseline_m - 1.0) < 4 * content['sigma']['baseline_m']
+    error = rig.left.K[0, 0] - RIG.left.K[0, 0]
+    assert abs(error) < 4 * content['sigma']['fx_left_px']
+    assert '<svg' in (output / 'report.html').read_text()
+
+
+def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibrate('--points', CHESSBOARD, '--output', tmp_path) == 0
+    assert 'taken to be 640x480' in capsys.readouterr().out
+    content = json.loads((tmp_path / 'calibration.json').read_text())
+    assert content['rms_px'] == pytest.approx(0.215, rel=0.02)
+    assert content['baseline_m'] == pytest.approx(0.0832, rel=0.02)
+    size = ('--image-size', '644x482')
+    assert calibrate('--points', CHESSBOARD, *size, '--output', tmp_path) == 0
+    assert read_rig(tmp_path).left.size == (644, 482)
+
+
+def test_self_check_tells_and_writes_its_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The checks themselves are run in the tests of the adjustment and of `solve`."""
+    three = (0.01, 0.02, 0.03)
+    accuracy = AccuracyRow(0.005, 1.02, 2.5, 1.03, three, three, three, 0.9, 0.8, 0.2)
+    monkeypatch.setattr(calibration_check, 'check_accuracy', lambda **_: [accuracy])
+    monkeypatch.setattr(calibration_check, 'check_rows', lambda **_: [RowsRow(0.0, 5.5, 0.2, 0.1)])
+    assert calibrate('--self-check', '--output', tmp_path) == 0
+    text = capsys.readouterr().out
+    assert 'placement  5.0 mm:    20,    20,    20 mm; 1.02 (2.50); 1.03' in text
+    assert 'all: error / bound 1.020' in text and 'placement  0.0 mm: 5.50, 0.200, 0.100' in text
+    content = json.loads((tmp_path / 'self_check.json').read_text())
+    assert content['accuracy'][0]['bound_ratio'] == 1.02
+    assert content['rows'][0]['corrected_px'] == 0.2
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        ((), 'give either a folder of pictures or --points'),
+        (('DIR', '--points', 'x.csv'), 'give either'),
+        (('DIR',), 'need --rods rods.yaml'),
+        (('--points', str(CHESSBOARD), '--image-size', '640'), '--image-size must be WxH'),
+    ],
+)
+def test_wrong_usage(
+    args: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrate(*args, '--output', tmp_path) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count('\n') == 1
+
+
+def test_problems_with_the_input(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rods = pictures / 'rods.yaml'
+
+    def refused(folder: Path, message: str, *args: object) -> None:
+        assert calibrate(folder, '--rods', rods, '--output', tmp_path / 'rig', *args) == 1
+        error = capsys.readouterr().err
+        assert message in error and error.count('\n') == 1
+        assert not (tmp_path / 'rig').exists()
+
+    refused(tmp_path / 'absent', 'is no folder')
+    empty = tmp_path / 'empty'
+    empty.mkdir()
+    refused(empty, 'holds no pictures of boards')
+    blank = tmp_path / 'blank'
+    blank.mkdir()
+    for side in ('left', 'right'):
+        cv2.imwrite(str(blank / f'{side}_a.png'), np.full((300, 400), 90, np.uint8))
+    refused(blank, 'no rods were found in any of the 1 boards')
+    few = tmp_path / 'few'
+    few.mkdir()
+    for name in ('left_0.png', 'right_0.png', 'left_6.png'):
+        (few / name).write_bytes((pictures / name).read_bytes())
+    refused(few, '1 of 2 boards can be used and at least 3 are needed; capture 2 more')
+
+
+def test_boards_are_found_by_name(tmp_path: Path) -> None:
+    for name in ('left_b.png', 'right_b.PNG', 'right_a.tif', 'left.png', 'left_c.txt', 'up_d.png'):
+        (tmp_path / name).write_bytes(b'')
+    found = [
+        (board.name, board.left is None, board.right is None) for board in find_boards(tmp_path)
+    ]
+    assert found == [('a', True, False), ('b', False, False)]
+
+
+def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    for index, rig in enumerate((RIG, RIG, survey_rig(scale=0.4))):
+        capture = simulate_capture(BOARD, rig, rng, CaptureOptions(depth_m=(3.0, 6.0)))
+        for side, image in (('left', capture.left), ('right', capture.right)):
+            cv2.imwrite(str(tmp_path / f'{side}_{index}.png'), image)
+    found = read_captures(tmp_path, BOARD)
+    assert [capture.name for capture in found.captures] == ['0', '1']
+    assert found.image_size == (960, 600)
+    assert found.rejected[0].reason == (
+        'its pictures are 768x480 px, but most pictures are 960x600 px'
+    )
