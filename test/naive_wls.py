@@ -38,4 +38,5 @@ def minimiser(
                     system[there, there] += link
                     system[here, there] -= link
                     system[there, here] -= link
-    return np.linalg.solve(system, right_side).reshape(height, width)
+    solution: Array = np.linalg.solve(system, right_side)
+    return solution.reshape(height, width)

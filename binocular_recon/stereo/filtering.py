@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.stereo._wls_solver import System
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -93,19 +93,37 @@ def filter_disparity(
             ' check that the pictures overlap, are rectified and have texture, and the disparity'
             ' range'
         )
-    data = disparity_px
-    weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
-    if config.wls_guide == 'disparity' or not config.wls_use_confidence:
-        data = _nearest_in_row(disparity_px, valid)
-    if not config.wls_use_confidence:
-        weight = np.ones_like(weight)
-    guide_log = _log_luminance(guide / 255 if config.wls_guide == 'left' else _unit_range(data))
-    link_x, link_y = _links(guide_log, config)
-    solution = _solve(np.where(weight > 0, data, 0), weight, link_x, link_y)
+    data, weight = _data_term(disparity_px, confidence, valid, config)
+    luminance = guide / np.float32(255) if config.wls_guide == 'left' else _unit_range(data)
+    guide_log = _log_luminance(luminance)
+    system = System(weight, *_links(guide_log, config))
+    if initial is not None and not np.isfinite(initial).all():
+        initial = None
+    solution = system.solve(data, config.wls_tolerance_px, initial)
+    sigma = _sigma(system, data, solution.values)
     margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
-    filtered = np.clip(solution, low + margin, high - margin).astype(np.float32)
-    sigma = np.ones_like(filtered)
-    return Filtered(filtered, sigma, iterations=1, error_estimate_px=0.0)
+    filtered = np.clip(solution.values, low + margin, high - margin).astype(np.float32)
+    return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+
+
+def _data_term(
+    disparity_px: FloatImage,
+    confidence: FloatImage,
+    valid: npt.NDArray[np.bool_],
+    config: FilterConfig,
+) -> tuple[FloatImage, FloatImage]:
+    """Return b without gaps and c of eq. 13."""
+    data = _nearest_in_row(disparity_px, valid).astype(np.float32)
+    if not config.wls_use_confidence:
+        return data, np.ones_like(data)
+    return data, np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
+
+
+def _sigma(system: System, data: FloatImage, filtered: FloatImage) -> FloatImage:
+    """Return the standard deviation of the filtered disparity: the spread of what supports it."""
+    spread = system.solve((data - filtered) ** 2, np.inf).values
+    sigma: FloatImage = np.sqrt(np.maximum(spread, 0))
+    return sigma
 
 
 def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
@@ -150,30 +168,15 @@ def _log_luminance(luminance: FloatImage) -> FloatImage:
 
 def _links(guide_log: FloatImage, config: FilterConfig) -> tuple[FloatImage, FloatImage]:
     """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
-    links = []
-    for axis in (1, 0):
-        step = np.nan_to_num(np.abs(np.diff(guide_log, axis=axis)))  # no picture, no edge
-        links.append(config.wls_lambda / (step**config.wls_alpha + config.wls_epsilon))
-    return links[0], links[1]
+    return (
+        _link(guide_log[:, 1:], guide_log[:, :-1], config),
+        _link(guide_log[1:], guide_log[:-1], config),
+    )
 
 
-def _solve(
-    data: FloatImage, weight: FloatImage, link_x: FloatImage, link_y: FloatImage
-) -> npt.NDArray[np.float64]:
-    """Solve (C + lambda L) f = C b directly."""
-    height, width = data.shape
-    index = np.arange(data.size).reshape(height, width)
-    start = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
-    end = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
-    link = np.concatenate([link_x.ravel(), link_y.ravel()]).astype(np.float64)
-    incidence = sp.coo_matrix(
-        (
-            np.concatenate([np.ones_like(link), -np.ones_like(link)]),
-            (np.tile(np.arange(link.size), 2), np.concatenate([start, end])),
-        ),
-        shape=(link.size, data.size),
-    ).tocsr()
-    c = weight.astype(np.float64).ravel()
-    system = sp.diags(c) + incidence.T @ sp.diags(link) @ incidence
-    solution: npt.NDArray[np.float64] = splu(system.tocsc()).solve(c * data.ravel())
-    return solution.reshape(height, width)
+def _link(one: FloatImage, other: FloatImage, config: FilterConfig) -> FloatImage:
+    step = np.abs(one - other)
+    if step.size:  # OpenCV refuses empty arrays
+        step = cv2.pow(cv2.patchNaNs(step, 0), config.wls_alpha)  # no picture, no edge
+    link: FloatImage = np.float32(config.wls_lambda) / (step + np.float32(config.wls_epsilon))
+    return link

@@ -37,7 +37,7 @@ def test_reference(name: str, preset: str) -> None:
 
 def test_nothing_to_filter() -> None:
     nothing = np.full((4, 5), np.nan, np.float32)
-    with pytest.raises(ImageError, match='no pixel has a disparity within 0..64 px'):
+    with pytest.raises(ImageError, match=r'no pixel has a disparity within 0\.\.64 px'):
         filter_disparity(nothing, nothing, nothing, FilterConfig(), limits_px=LIMITS_PX)
 
 
