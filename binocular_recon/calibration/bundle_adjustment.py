@@ -37,6 +37,9 @@ DISTORTION_SIGMA = dict.fromkeys(COEFFICIENTS, 0.5) | {'p1': 0.005, 'p2': 0.005}
 ASPECT_SIGMA = 0.003
 # Smallest noise of a mark that is believed, px (marks without noise would void the priors).
 NOISE_FLOOR_PX = 1e-3
+# Marks of a rod lie on a line fitted to its sides: the error of that line, px, is common to them
+# and shows in no residual, because the rod may stand a little elsewhere.
+ROD_ERROR_PX = 0.05
 MAX_ITERATIONS = 100
 
 
@@ -101,6 +104,16 @@ class Problem:
         """Return the rods' deviations in standard deviations, (B, R, f)."""
         deviations: FloatArray = state.deviations[..., self.free_deviations]
         return deviations / self.rod_sigmas
+
+
+def noise_floor_px(target: Target) -> FloatArray:
+    """Return the smallest noise of a mark's u and v that is believed, (2,) px.
+
+    An error common to the M marks of a rod weighs as much as independent errors sqrt(M) as large.
+    """
+    if not target.has_rods:
+        return np.full(2, NOISE_FLOOR_PX)
+    return ROD_ERROR_PX * np.array([np.sqrt(target.shape[1]), 1.0])
 
 
 def minimise(problem: Problem, state: State) -> State:

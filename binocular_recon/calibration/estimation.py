@@ -16,10 +16,10 @@ import numpy as np
 from binocular_recon.calibration._linearisation import State, linearise
 from binocular_recon.calibration.bundle_adjustment import (
     HUBER,
-    NOISE_FLOOR_PX,
     Mask,
     Problem,
     minimise,
+    noise_floor_px,
     normal_equations,
     weighted_rows,
 )
@@ -169,14 +169,15 @@ def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
         np.median(np.abs(residuals[..., axis] / np.sqrt(variance[..., axis]))[seen]) / 0.6745
         for axis in (0, 1)
     ]
-    robust = np.maximum(typical, NOISE_FLOOR_PX / problem.sigma_px)
+    floor_px = noise_floor_px(problem.target)
+    robust = np.maximum(typical, floor_px / problem.sigma_px)
     redundancy = variance[used].sum(axis=0)
     components = np.sqrt((residuals[used] ** 2).sum(axis=0) / redundancy)
     standardised = np.where(seen[..., None], residuals / np.sqrt(variance), np.nan)
     return Fit(
         lengths=np.linalg.norm(standardised / robust, axis=-1),
         errors_px=np.linalg.norm(standardised * problem.sigma_px, axis=-1),
-        sigma_px=np.maximum(components * problem.sigma_px, NOISE_FLOOR_PX),
+        sigma_px=np.maximum(components * problem.sigma_px, floor_px),
         robust_sigma_px=robust * problem.sigma_px,
         placement_scale=_placement_scale(problem, state, joint),
     )

@@ -228,3 +228,19 @@ def test_minimise_does_not_depend_on_the_start() -> None:
     found = [minimise(problem, state).calibration for state in (start, far)]
     np.testing.assert_allclose(found[0].K_left, found[1].K_left, atol=0.02)
     np.testing.assert_allclose(found[0].T, found[1].T, atol=1e-5)
+
+
+def test_errors_common_to_a_rod_are_allowed_for() -> None:
+    """A detector fits a line to each rod: its error shows in no residual, yet it is there."""
+    squares = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        captures = []
+        for capture in captures_of(seed=seed, noise_px=0.01):
+            lines = rng.normal(0, 0.05, (2, 5, 1, 2)) * [1.0, 0.3]
+            left, right = capture.left_px + lines[0], capture.right_px + lines[1]
+            captures.append(replace(capture, left_px=left, right_px=right))
+        result = solve(captures, board_of(0.005), SIZE)
+        errors = depth_errors_m(result.calibration, truth())[1]
+        squares.append(np.mean(errors**2) / result.depth_sigma_m(15, 0.0) ** 2)
+    assert np.sqrt(np.mean(squares)) < 1.5
