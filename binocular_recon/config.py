@@ -100,7 +100,23 @@ class MatchConfig(Options):
         128, 'Number of disparities searched', unit='px', minimum=1, maximum=4096
     )
     correlation_window_size: int = option(
-        9, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
+        5, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
+    )
+    semi_global: bool = option(
+        True, 'Aggregate the scores along rows and columns; off: each pixel by itself'
+    )
+    P1: int = option(
+        30,
+        'Semi-global: penalty of a step of one disparity between neighbours; 63 is the cost of'
+        ' score 0',
+        minimum=0,
+        maximum=192,
+    )
+    P2: int = option(
+        190,
+        'Semi-global: penalty of a larger step where neighbours are equally bright',
+        minimum=0,
+        maximum=192,
     )
     texture_threshold: float = option(
         1.0,
@@ -126,7 +142,7 @@ class MatchConfig(Options):
     )
     subpixel: bool = option(True, 'Interpolate between whole disparities')
     speckle_size: int = option(
-        0, 'Smaller connected regions are invalid', unit='px', minimum=0, maximum=100_000
+        200, 'Smaller connected regions are invalid', unit='px', minimum=0, maximum=100_000
     )
     speckle_range: float = option(
         1.0,
@@ -238,10 +254,12 @@ class ChainConfig:
 PRESETS: dict[str, dict[str, OptionValue]] = {
     # exactly the paper's method, as docs/method.md defines it
     'paper': {
+        'semi_global': False,
         'correlation_window_size': 9,
         'texture_threshold': 0.0,
         'disp12_max_diff': -1.0,
         'subpixel': False,
+        'speckle_size': 0,
         'wls_lambda': 0.35,
         'wls_alpha': 1.8,
         'wls_epsilon': 1e-4,

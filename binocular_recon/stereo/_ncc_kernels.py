@@ -47,36 +47,52 @@ class Pair(NamedTuple):
     least_energy: float
 
 
-class Windows(NamedTuple):
-    """Running sums of one strip.
+class Statistics(NamedTuple):
+    """Sums over windows of each picture, row by row.
 
-    ``columns`` (size + W, D): products summed over the window's rows; the first ``size`` are 0.
-    ``products`` (D): products summed over the window. ``left_sums``, ``right_sums``
-    (3, size + N): values, squares and pixels without data, summed over the window's rows.
-    ``left_norm`` (2, N), ``right_norm`` (4, N) per window by its first column: sum, 1 / norm
-    (0 = no score); mean's integer part, mean's rest, 1 / norm, `NO_SCORE` or 0.
+    ``left_sums``, ``right_sums`` (3, size + N): values, squares and pixels without data, summed
+    over the window's rows; the first ``size`` columns are 0. ``left_norm`` (2, N), ``right_norm``
+    (4, N), per window by its first column: sum, 1 / norm (0 = no score); mean's integer part,
+    mean's rest, 1 / norm, `NO_SCORE` or 0.
     """
 
-    columns: Array
-    products: Array
     left_sums: Array
     right_sums: Array
     left_norm: Array
     right_norm: Array
 
 
+class Products(NamedTuple):
+    """Sums of products.
+
+    ``columns`` (size + W, D) are over a window's rows, the first ``size`` 0; ``window`` (D) is
+    over the whole window.
+    """
+
+    columns: Array
+    window: Array
+
+
 @kernel
-def new_windows(pair: Pair) -> Windows:
+def new_statistics(pair: Pair) -> Statistics:
     """Return the sums before the first row."""
     width, padded, size = pair.left.shape[1], pair.right.shape[1], pair.size
-    disparities = padded - width + 1
-    return Windows(
-        np.zeros((size + width, disparities), pair.left.dtype),
-        np.zeros(disparities, pair.left.dtype),
+    return Statistics(
         np.zeros((3, size + width)),
         np.zeros((3, size + padded)),
         np.zeros((2, width), pair.left.dtype),
         np.zeros((4, padded), pair.left.dtype),
+    )
+
+
+@kernel
+def new_products(pair: Pair) -> Products:
+    """Return the sums of products before the first row."""
+    width, size = pair.left.shape[1], pair.size
+    disparities = pair.right.shape[1] - width + 1
+    return Products(
+        np.zeros((size + width, disparities), pair.left.dtype),
+        np.zeros(disparities, pair.left.dtype),
     )
 
 
@@ -93,11 +109,11 @@ def _slide(sums: Array, size: int, new: Array, old: Array, new_bad: Array, old_b
 
 
 @kernel
-def enter_row(pair: Pair, windows: Windows, new: int, old: int) -> None:
+def enter_row(pair: Pair, statistics: Statistics, new: int, old: int) -> None:
     """Move the windows down: row ``new`` enters, row ``old`` leaves."""
     size = pair.size
     _slide(
-        windows.left_sums,
+        statistics.left_sums,
         size,
         pair.left[new],
         pair.left[old],
@@ -105,7 +121,7 @@ def enter_row(pair: Pair, windows: Windows, new: int, old: int) -> None:
         pair.left_bad[old],
     )
     _slide(
-        windows.right_sums,
+        statistics.right_sums,
         size,
         pair.right[new],
         pair.right[old],
@@ -118,28 +134,31 @@ def enter_row(pair: Pair, windows: Windows, new: int, old: int) -> None:
 def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: Array) -> None:
     """Give the sum and 1 / norm of the window that starts at each column; 0 = no score."""
     count = size * size
-    value = 0.0
-    square = 0.0
-    bad = 0.0
-    for i in range(size, sums.shape[1]):
-        value += sums[0, i] - sums[0, i - size]
-        square += sums[1, i] - sums[1, i - size]
-        bad += sums[2, i] - sums[2, i - size]
-        first = i - 2 * size + 1
-        if first >= 0:
-            energy = square - value * value / count
-            scored = bad == 0 and energy > 0 and energy >= least
-            total[first] = value
-            inverse[first] = 1 / np.sqrt(energy) if scored else 0.0
+    windows = sums.shape[1] - 2 * size + 1
+    values, squares, bad = np.zeros(windows), np.zeros(windows), np.zeros(windows)
+    for j in range(size):
+        for i in range(windows):
+            values[i] += sums[0, size + i + j]
+        for i in range(windows):
+            squares[i] += sums[1, size + i + j]
+        for i in range(windows):
+            bad[i] += sums[2, size + i + j]
+    for i in range(windows):
+        total[i] = values[i]
+    for i in range(windows):
+        # count times the energy is a difference of integers: exact, 0 where the window is flat
+        energy = count * squares[i] - values[i] * values[i]
+        scored = bad[i] == 0 and energy > 0 and energy >= least * count
+        inverse[i] = size / np.sqrt(energy) if scored else 0.0
 
 
 @kernel
-def normalise_row(pair: Pair, windows: Windows) -> None:
+def normalise_row(pair: Pair, statistics: Statistics) -> None:
     """Fill both norms from the column sums."""
     size, count = pair.size, pair.size * pair.size
-    left, right = windows.left_norm, windows.right_norm
-    _window_energy(windows.left_sums, size, pair.least_energy, left[0], left[1])
-    _window_energy(windows.right_sums, size, pair.least_energy, right[0], right[2])
+    left, right = statistics.left_norm, statistics.right_norm
+    _window_energy(statistics.left_sums, size, pair.least_energy, left[0], left[1])
+    _window_energy(statistics.right_sums, size, pair.least_energy, right[0], right[2])
     for i in range(right.shape[1]):
         total = right[0, i]
         whole = np.rint(total / count)
@@ -149,14 +168,16 @@ def normalise_row(pair: Pair, windows: Windows) -> None:
 
 
 @kernel
-def add_products(pair: Pair, windows: Windows, new: int, old: int, start: int, stop: int) -> None:
+def add_products(
+    pair: Pair, products: Products, new: int, old: int, start: int, stop: int
+) -> None:
     """Move the column sums of products of columns ``start`` to ``stop`` down by a row."""
     last = pair.left.shape[1] - 1
-    disparities = windows.products.size
+    disparities = products.window.size
     left_new, left_old = pair.left[new], pair.left[old]
     right_new, right_old = pair.right[new], pair.right[old]
     for x in range(start, stop):
-        sums = windows.columns[pair.size + x]
+        sums = products.columns[pair.size + x]
         a, b = left_new[x], left_old[x]
         entering = right_new[last - x : last - x + disparities]
         leaving = right_old[last - x : last - x + disparities]
@@ -165,33 +186,35 @@ def add_products(pair: Pair, windows: Windows, new: int, old: int, start: int, s
 
 
 @kernel
-def score_windows(pair: Pair, windows: Windows, start: int, stop: int, scores: Array) -> None:
+def score_windows(
+    pair: Pair, statistics: Statistics, products: Products, start: int, stop: int, scores: Array
+) -> None:
     """Write the scores of the windows that end at columns ``start`` to ``stop`` to ``scores``.
 
-    Must be called for all columns in turn, the first with ``windows.products`` zero.
+    Must be called for all columns in turn, the first with ``products.window`` zero.
     ``scores`` (stop - start, D) holds `NO_SCORE` where there is none.
     """
     size, last = pair.size, pair.left.shape[1] - 1
-    products = windows.products
-    disparities = products.size
+    window = products.window
+    disparities = window.size
     for x in range(start, stop):
-        entering, leaving = windows.columns[size + x], windows.columns[x]
+        entering, leaving = products.columns[size + x], products.columns[x]
         for k in range(disparities):
-            products[k] += entering[k] - leaving[k]
+            window[k] += entering[k] - leaving[k]
         row = scores[x - start]
         first = x - size + 1
-        if first < 0 or windows.left_norm[1, first] == 0:
+        if first < 0 or statistics.left_norm[1, first] == 0:
             row[:] = NO_SCORE
             continue
-        total, inverse = windows.left_norm[0, first], windows.left_norm[1, first]
+        total, inverse = statistics.left_norm[0, first], statistics.left_norm[1, first]
         here = last - x
-        whole = windows.right_norm[0, here : here + disparities]
-        rest = windows.right_norm[1, here : here + disparities]
-        norm = windows.right_norm[2, here : here + disparities]
-        bias = windows.right_norm[3, here : here + disparities]
+        whole = statistics.right_norm[0, here : here + disparities]
+        rest = statistics.right_norm[1, here : here + disparities]
+        norm = statistics.right_norm[2, here : here + disparities]
+        bias = statistics.right_norm[3, here : here + disparities]
         for k in range(disparities):
             # eq. 10; the mean in two parts: their difference from the products stays exact
-            covariance = products[k] - total * whole[k] - total * rest[k]
+            covariance = window[k] - total * whole[k] - total * rest[k]
             row[k] = covariance * inverse * norm[k] + bias[k]
 
 
@@ -200,19 +223,20 @@ def score_strip(pair: Pair, scores: Array, start: int, stop: int) -> None:
     """Write the scores of rows ``start`` to ``stop`` to ``scores`` (H, W, D); NaN = none."""
     width, size = pair.left.shape[1], pair.size
     radius, nothing = size // 2, pair.left.shape[0] - 1
-    windows = new_windows(pair)
-    row = np.empty((width, windows.products.size), pair.left.dtype)
+    statistics = new_statistics(pair)
+    products = new_products(pair)
+    row = np.empty((width, products.window.size), pair.left.dtype)
     top = max(start - radius, 0)
     for new in range(top, min(stop + radius, nothing)):
         old = new - size if new - size >= top else nothing
-        enter_row(pair, windows, new, old)
-        add_products(pair, windows, new, old, 0, width)
+        enter_row(pair, statistics, new, old)
+        add_products(pair, products, new, old, 0, width)
         y = new - radius
         if y < start or new - top < size - 1:
             continue
-        normalise_row(pair, windows)
-        windows.products[:] = 0
-        score_windows(pair, windows, 0, width, row)
+        normalise_row(pair, statistics)
+        products.window[:] = 0
+        score_windows(pair, statistics, products, 0, width, row)
         for x in range(radius, width - radius):
             for k in range(row.shape[1]):
                 score = row[x + radius, k]
@@ -286,8 +310,9 @@ def select_strip(
     """Choose the best disparity of rows ``start`` to ``stop``; NaN = none."""
     width, size = pair.left.shape[1], pair.size
     radius, nothing, last = size // 2, pair.left.shape[0] - 1, width - 1
-    windows = new_windows(pair)
-    disparities = windows.products.size
+    statistics = new_statistics(pair)
+    products = new_products(pair)
+    disparities = products.window.size
     tags = (PLACES - 1 - np.arange(disparities)).astype(np.int32)
     keys = np.empty(disparities, np.int32)
     right_keys = np.empty(pair.right.shape[1], np.int32)
@@ -296,21 +321,21 @@ def select_strip(
     top = max(start - radius, 0)
     for new in range(top, min(stop + radius, nothing)):
         old = new - size if new - size >= top else nothing
-        enter_row(pair, windows, new, old)
+        enter_row(pair, statistics, new, old)
         y = new - radius
         if y < start or new - top < size - 1:
-            add_products(pair, windows, new, old, 0, width)
+            add_products(pair, products, new, old, 0, width)
             continue
-        normalise_row(pair, windows)
-        windows.products[:] = 0
+        normalise_row(pair, statistics)
+        products.window[:] = 0
         right_keys[:] = NO_KEY
         places[:] = -1
         for tile in range(0, width, TILE):
             end = min(tile + TILE, width)
-            add_products(pair, windows, new, old, tile, end)
-            score_windows(pair, windows, tile, end, scores)
+            add_products(pair, products, new, old, tile, end)
+            score_windows(pair, statistics, products, tile, end, scores)
             for x in range(max(tile, size - 1), end):
-                if windows.left_norm[1, x - size + 1] == 0:
+                if statistics.left_norm[1, x - size + 1] == 0:
                     continue
                 curve = scores[x - tile]
                 place, best = pick_winners(curve, tags, keys, right_keys, last - x)

@@ -23,6 +23,7 @@ from test import naive_ncc
 
 pytestmark = pytest.mark.kernel
 FloatImage = npt.NDArray[np.float32]
+both_ways = pytest.mark.parametrize('semi_global', [False, True])
 REFERENCE = Path(__file__).parents[1] / 'data' / 'ncc.npz'
 
 
@@ -131,10 +132,19 @@ def test_confidence_carries_sigma() -> None:
     assert back[6] == np.inf
 
 
+@both_ways
 @pytest.mark.parametrize('disparity', [0.0, 5.0, 9.3, -3.75])
-def test_constant_disparity_is_found_to_a_fraction_of_a_pixel(disparity: float) -> None:
+def test_constant_disparity_is_found_to_a_fraction_of_a_pixel(
+    disparity: float, semi_global: bool
+) -> None:
     left, right = shifted_pair(60, 100, disparity)
-    found = match(left, right, config(min_disparity=-8, disparity_range=24))
+    options = config(
+        min_disparity=-8,
+        disparity_range=24,
+        correlation_window_size=9,
+        semi_global=semi_global,
+    )
+    found = match(left, right, options)
     inside = found.disparity_px[20:40, 30:70]
     assert np.isfinite(inside).mean() > 0.98
     assert np.nanmedian(np.abs(inside - disparity)) < 0.05
@@ -142,10 +152,11 @@ def test_constant_disparity_is_found_to_a_fraction_of_a_pixel(disparity: float) 
     assert np.all(found.confidence[np.isfinite(found.disparity_px)] > 0)
 
 
+@both_ways
 @pytest.mark.parametrize(('height', 'width'), [(40, 1), (1, 40), (3, 3), (23, 57)])
-def test_any_size_works(height: int, width: int) -> None:
+def test_any_size_works(height: int, width: int, semi_global: bool) -> None:
     left = texture(height, width)
-    options = config(correlation_window_size=3)
+    options = config(correlation_window_size=3, semi_global=semi_global)
     if min(height, width) < 3:
         with pytest.raises(ImageError, match='smaller than the correlation window'):
             match(left, left, options)
@@ -153,20 +164,22 @@ def test_any_size_works(height: int, width: int) -> None:
         assert match(left, left, options).disparity_px.shape == (height, width)
 
 
+@both_ways
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('level', [0.0, 255.0, 77.0, np.nan])
-def test_pictures_without_texture_have_no_match(level: float) -> None:
+def test_pictures_without_texture_have_no_match(level: float, semi_global: bool) -> None:
     blank = np.full((30, 40), level, np.float32)
-    found = match(blank, blank, config())
+    found = match(blank, blank, config(semi_global=semi_global))
     assert np.isnan(found.disparity_px).all()
     assert not found.confidence.any()
 
 
-def test_pixels_without_data_or_saturated_are_invalid() -> None:
+@both_ways
+def test_pixels_without_data_or_saturated_are_invalid(semi_global: bool) -> None:
     left, right = shifted_pair(50, 90, 4.0)
     left[10:22, 40:60] = np.nan
     left[30:44, 40:60] = 255.0
-    disparity = match(left, right, config()).disparity_px
+    disparity = match(left, right, config(semi_global=semi_global)).disparity_px
     assert np.isnan(disparity[10:22, 40:60]).all()
     assert np.isnan(disparity[34:40, 44:56]).all()
 
@@ -181,19 +194,25 @@ def test_errors_say_what_and_why() -> None:
         match(good, good * 257, config())
 
 
-def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+@both_ways
+def test_results_do_not_depend_on_threads(
+    monkeypatch: pytest.MonkeyPatch, semi_global: bool
+) -> None:
     left, right = shifted_pair(130, 90, 3.4)
-    many = match(left, right, config())
+    options = config(semi_global=semi_global)
+    many = match(left, right, options)
     monkeypatch.setenv('OMP_NUM_THREADS', '1')
-    one = match(left, right, config())
+    one = match(left, right, options)
     np.testing.assert_array_equal(many.disparity_px, one.disparity_px)
     np.testing.assert_array_equal(many.confidence, one.confidence)
 
 
-def test_exposure_does_not_matter() -> None:
+@both_ways
+def test_exposure_does_not_matter(semi_global: bool) -> None:
     left, right = shifted_pair(60, 100, 6.5)
-    plain = match(left, right, config())
-    darker = match(left, right * np.float32(0.6) + 20, config())
+    options = config(semi_global=semi_global)
+    plain = match(left, right, options)
+    darker = match(left, right * np.float32(0.6) + 20, options)
     both = np.isfinite(plain.disparity_px) & np.isfinite(darker.disparity_px)
     assert both.mean() > 0.6
     change = np.abs(plain.disparity_px - darker.disparity_px)[both]

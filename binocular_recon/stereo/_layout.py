@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks a pair of pictures and lays it out for the matching kernels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.config import MatchConfig
+from binocular_recon.errors import ImageError
+from binocular_recon.stereo._ncc_kernels import Pair
+
+FloatImage = npt.NDArray[np.float32]
+
+# Grey levels farther than this outside 0..255 are no interpolation overshoot but another unit.
+_OVERSHOOT = 128.0
+_FINE_STEPS = 257  # per grey level: the steps of a 16-bit picture
+_EXACT = 2.0**24  # float32 holds every integer up to here
+_STEPS_OF_TEXTURE = 4  # per standard deviation of the least texture: rounding then is no noise
+
+
+def check_pair(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return the pictures as float32, or raise an ImageError that says what is wrong."""
+    left, right = np.asarray(left, np.float32), np.asarray(right, np.float32)
+    size = config.correlation_window_size
+    if left.ndim != 2 or left.shape != right.shape:
+        raise ImageError(
+            f'left is {left.shape} and right {right.shape}; both must be grey pictures of the'
+            ' same (rows, columns)'
+        )
+    if min(left.shape) < size:
+        raise ImageError(
+            f'pictures of {left.shape[1]}x{left.shape[0]} px are smaller than the correlation'
+            f' window of {size} px; choose a smaller correlation_window_size'
+        )
+    for name, image in (('left', left), ('right', right)):
+        low, high = np.fmin.reduce(image, axis=None), np.fmax.reduce(image, axis=None)
+        if low < -_OVERSHOOT or high > 255 + _OVERSHOOT:
+            raise ImageError(
+                f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255'
+                ' (io.images.to_grey converts other pictures)'
+            )
+    return left, right
+
+
+def lay_out(
+    left: FloatImage, right: FloatImage, config: MatchConfig, disparities: int, border: int
+) -> tuple[Pair, int]:
+    """Return checked pictures as kernels need them, and their steps per grey level.
+
+    ``border`` columns and rows are mirrored onto each side first.
+    """
+    size = config.correlation_window_size
+    steps, kind = _resolution(left, right, config)
+    if border:
+        left = cv2.copyMakeBorder(left, *4 * [border], cv2.BORDER_REFLECT_101)
+        right = cv2.copyMakeBorder(right, *4 * [border], cv2.BORDER_REFLECT_101)
+    height, width = left.shape
+    padded = width + disparities - 1
+    left_levels = np.zeros((height + 1, width), kind)
+    left_bad = np.zeros((height + 1, width), np.uint8)
+    left_levels[:-1], left_bad[:-1] = _centred(left, steps)
+    right_levels = np.zeros((height + 1, padded), kind)
+    right_bad = np.ones((height + 1, padded), np.uint8)
+    right_bad[-1] = 0
+    # place i of the mirrored row is column width - 1 - min_disparity - i of the picture
+    first, last = max(0, -config.min_disparity), min(padded, width - config.min_disparity)
+    if first < last:
+        columns = slice(width - config.min_disparity - last, width - config.min_disparity - first)
+        levels, bad = _centred(right[:, columns], steps)
+        right_levels[:-1, first:last] = levels[:, ::-1]
+        right_bad[:-1, first:last] = bad[:, ::-1]
+    least = (config.texture_threshold * steps) ** 2 * size * size
+    return Pair(left_levels, right_levels, left_bad, right_bad, size, least), steps
+
+
+def _resolution(left: FloatImage, right: FloatImage, config: MatchConfig) -> tuple[int, Any]:
+    """Choose steps per grey level, and a type in which their sums of products are exact."""
+    if _is_integer(left) and _is_integer(right):
+        return 1, np.float32
+    steps = 1
+    while (config.correlation_window_size * 128 * 2 * steps) ** 2 <= _EXACT:
+        steps *= 2
+    if config.texture_threshold * steps >= _STEPS_OF_TEXTURE:
+        return steps, np.float32
+    return _FINE_STEPS, np.float64
+
+
+def _is_integer(image: FloatImage) -> bool:
+    """Whether every level is a whole number from 0 to 255 (or there is no data)."""
+    whole = (image == np.rint(image)) & (image >= 0) & (image <= 255)
+    return bool(np.all(whole | np.isnan(image)))
+
+
+def _centred(
+    image: FloatImage, steps: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Return whole steps from mid grey, 0 where there is no data, and where that is."""
+    bad = np.isnan(image)
+    levels = np.rint(np.where(bad, 128, image).astype(np.float64) * steps) - 128 * steps
+    return levels, bad

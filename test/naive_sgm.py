@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slow, obvious twin of semi-global matching's costs, paths and choice."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from test import naive_ncc
+
+Array = npt.NDArray[np.float64]
+WORST, UNKNOWN = 252, 160
+
+
+def costs(
+    left: npt.ArrayLike, right: npt.ArrayLike, size: int, first: int, count: int, noise: float
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return costs before rounding (H, W, D), and which pixels have any (H, W).
+
+    Two windows share the say: the one of ``size - 2`` where its variance v exceeds the noise's n
+    (v / (v + n)), the one of ``size`` for the rest.
+    """
+    radius = size // 2
+    left, right = (np.pad(np.asarray(i, float), radius, mode='reflect') for i in (left, right))
+    big = naive_ncc.ncc(left, right, size, first, count, 0.0)
+    small = naive_ncc.ncc(left, right, max(size - 2, 3), first, count, 0.0)
+    inside = slice(radius, -radius)
+    height, width = left[inside, inside].shape
+    result = np.full((height, width, count), float(UNKNOWN))
+    scored = np.zeros((height, width), bool)
+    half = max(size - 2, 3) // 2
+    for y in range(height):
+        for x in range(width):
+            rows, columns = y + radius, x + radius
+            window = left[rows - half : rows + half + 1, columns - half : columns + half + 1]
+            around = left[y : y + size, x : x + size]
+            scored[y, x] = bool(np.isfinite(around).all() and np.ptp(around) > 0)
+            share = window.var() / (window.var() + noise**2)
+            for k in range(count):
+                if np.isfinite(big[rows, columns, k]):
+                    score = (1 - share) * big[rows, columns, k]
+                    score += share * np.nan_to_num(small[rows, columns, k])
+                    result[y, x, k] = min(max(WORST * (1 - score), 0), WORST)
+    return result, scored
+
+
+def aggregate(
+    costs: npt.NDArray[np.int64], levels: npt.NDArray[np.int64], P1: int, P2: npt.NDArray[np.int64]
+) -> npt.NDArray[np.int64]:
+    """Return the sums over four paths; ``P2`` (256) by the step of grey level."""
+    total = np.zeros_like(costs)
+    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        total += _along(costs, levels, P1, P2, dy, dx)
+    return total
+
+
+def _along(
+    costs: npt.NDArray[np.int64],
+    levels: npt.NDArray[np.int64],
+    P1: int,
+    P2: npt.NDArray[np.int64],
+    dy: int,
+    dx: int,
+) -> npt.NDArray[np.int64]:
+    height, width, count = costs.shape
+    path = costs.copy()
+    for y in range(height) if dy >= 0 else reversed(range(height)):
+        for x in range(width) if dx >= 0 else reversed(range(width)):
+            if not (0 <= y - dy < height and 0 <= x - dx < width):
+                continue
+            before = path[y - dy, x - dx]
+            penalty = P2[abs(levels[y, x] - levels[y - dy, x - dx])]
+            for k in range(count):
+                ways = [before[k], before.min() + penalty]
+                ways += [before[j] + P1 for j in (k - 1, k + 1) if 0 <= j < count]
+                path[y, x, k] = costs[y, x, k] + min(ways) - before.min()
+    return path
+
+
+def choose(total: npt.NDArray[np.int64], first: int, max_difference: float) -> Array:
+    """Return each left pixel's best disparity if the right one's agrees; NaN = none."""
+    height, width, count = total.shape
+    best = total.argmin(axis=2)
+    result = np.full((height, width), np.nan)
+    for y in range(height):
+        for x in range(width):
+            there = x - first - best[y, x]
+            candidates = [
+                (total[y, there + first + k, k], k)
+                for k in range(count)
+                if 0 <= there + first + k < width
+            ]
+            if 0 <= there < width and abs(min(candidates)[1] - best[y, x]) <= max_difference:
+                result[y, x] = first + best[y, x]
+    return result

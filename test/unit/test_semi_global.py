@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Semi-global matching against its naive twin."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from binocular_recon._simd import LANES
+from binocular_recon.config import MatchConfig
+from binocular_recon.stereo import _semi_global
+from binocular_recon.stereo._aggregation_kernels import Volume, cost_strip
+from binocular_recon.stereo._layout import lay_out
+from test import naive_sgm
+
+pytestmark = pytest.mark.kernel
+FloatImage = npt.NDArray[np.float32]
+
+
+def pair(height: int, width: int, seed: int = 0) -> tuple[FloatImage, FloatImage]:
+    """Return a textured pair of disparity 3, with a flat patch and a pixel without data."""
+    noise = np.random.default_rng(seed).normal(size=(height, width + 3))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.0)
+    levels = np.rint(128 + 40 * smooth / smooth.std()).clip(0, 255).astype(np.float32)
+    left, right = levels[:, :-3].copy(), levels[:, 3:].copy()
+    left[2:8, 4:11] = 90
+    left[9, 13] = np.nan
+    return left, right
+
+
+def volume(left: FloatImage, right: FloatImage, config: MatchConfig) -> Volume:
+    """Return the costs as the matcher computes them."""
+    size = config.correlation_window_size
+    padded = -(-config.disparity_range // LANES) * LANES
+    big, steps = lay_out(left, right, config, padded, size // 2)
+    small = big._replace(size=max(size - 2, 3), least_energy=0.0)
+    noise = (_semi_global.NOISE * steps * small.size) ** 2 if size > small.size else np.inf
+    shape = left.shape
+    result = Volume(
+        np.zeros(shape[0] * shape[1] * padded, np.uint8),
+        np.zeros(shape, np.bool_),
+        padded,
+        config.disparity_range,
+    )
+    for start in range(0, shape[0], 5):
+        cost_strip(big, small, noise, result, start, min(start + 5, shape[0]))
+    return result
+
+
+def unpadded(costs: Volume) -> npt.NDArray[np.int64]:
+    """Return the costs as (H, W, D)."""
+    whole = costs.costs.reshape(*costs.scored.shape, costs.padded)
+    return whole[:, :, : costs.disparities].astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ('size', 'first', 'count'), [(5, 0, 9), (3, -4, 12), (7, 2, 33), (5, 40, 3)]
+)
+@pytest.mark.parametrize('fine', [False, True])
+def test_costs_equal_the_naive_twin(size: int, first: int, count: int, fine: bool) -> None:
+    left, right = pair(13, 24)
+    if fine:
+        left, right = left + np.float32(0.25), right + np.float32(0.5)
+    config = MatchConfig(
+        correlation_window_size=size,
+        min_disparity=first,
+        disparity_range=count,
+        texture_threshold=0.0,
+    )
+    expected, scored = naive_sgm.costs(left, right, size, first, count, _semi_global.NOISE)
+    found = volume(left, right, config)
+    np.testing.assert_array_equal(found.scored, scored)
+    assert np.abs(unpadded(found) - expected).max() < 0.6  # 0.5 of it rounding
+
+
+@pytest.mark.parametrize(
+    ('first', 'count', 'tolerance'), [(0, 9, 1.0), (-3, 12, 0.0), (1, 40, 2.0)]
+)
+def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: float) -> None:
+    left, right = pair(13, 24, seed=1)
+    config = MatchConfig(
+        min_disparity=first,
+        disparity_range=count,
+        disp12_max_diff=tolerance,
+        texture_threshold=0.0,
+        subpixel=False,
+    )
+    costs = volume(left, right, config)
+    levels = np.nan_to_num(left).astype(np.int64)
+    penalties = _semi_global._penalties(config)
+    total = naive_sgm.aggregate(
+        unpadded(costs) >> 2, levels, penalties.P1, penalties.P2.astype(np.int64)
+    )
+    expected = naive_sgm.choose(total, first, tolerance)
+    expected[~costs.scored] = np.nan
+    disparity, _ = _semi_global.select_disparities(left, right, config)
+    np.testing.assert_array_equal(disparity, expected)
+    assert 0.3 < np.isfinite(expected).mean() < 1
