@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement: disparities are completed from the background and smoothed along planes."""
+"""Refinement: disparities are smoothed along planes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
-from binocular_recon.stereo._refinement_kernels import BORDER, fill_strip, plane_strip
+from binocular_recon.stereo._refinement_kernels import BORDER, plane_strip
+from binocular_recon.stereo.completion import fill_from_background
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -20,32 +21,6 @@ COMMON_SIGMA_PX = 0.15
 RESIDUAL_FACTOR = 1.5
 # Samples farther than this from a pixel's disparity belong to another surface.
 SAME_SURFACE_PX = 1.5
-
-
-def fill_from_background(disparity_px: FloatImage) -> FloatImage:
-    """Fill holes along rows.
-
-    Parameters
-    ----------
-    disparity_px : (H, W) float32
-        Disparity; NaN = none.
-
-    Returns
-    -------
-    filled_px : (H, W) float32
-        Each run of holes has the smaller disparity of its two ends, at the picture's border that
-        of its only one: what a pair does not see twice lies behind what hides it. A row without
-        any disparity takes the nearest row that has one; all NaN if there is none.
-
-    """
-    filled = np.empty_like(disparity_px)
-    over_strips(lambda start, stop: fill_strip(disparity_px, filled, start, stop), len(filled))
-    empty = np.isnan(filled[:, 0])
-    if empty.any() and not empty.all():
-        rows = np.flatnonzero(~empty)
-        nearest = np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)
-        filled[empty] = filled[rows[nearest]]
-    return filled
 
 
 def smooth(disparity_px: FloatImage) -> tuple[FloatImage, FloatImage]:

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Completion from the background and smoothing along planes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from binocular_recon.stereo.completion import (
+    COMPLETED_CONFIDENCE,
+    complete,
+    fill_from_background,
+)
+from binocular_recon.stereo.refinement import SAME_SURFACE_PX, smooth
+
+pytestmark = pytest.mark.kernel
+NAN = np.nan
+
+
+def test_holes_take_the_smaller_end() -> None:
+    disparity = np.array(
+        [
+            [NAN, 5, NAN, NAN, 9, NAN, 2, NAN],
+            [NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN],
+            [NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN],
+            [1, 2, 3, 4, 5, 6, 7, NAN],
+        ],
+        np.float32,
+    )
+    expected = np.array(
+        [
+            [5, 5, 5, 5, 9, 2, 2, 2],
+            [5, 5, 5, 5, 9, 2, 2, 2],
+            [1, 2, 3, 4, 5, 6, 7, 7],
+            [1, 2, 3, 4, 5, 6, 7, 7],
+        ],
+        np.float32,
+    )
+    np.testing.assert_array_equal(fill_from_background(disparity), expected)
+
+
+def test_complete_keeps_what_was_measured() -> None:
+    rng = np.random.default_rng(0)
+    disparity = rng.uniform(3, 9, (20, 30)).astype(np.float32)
+    confidence = rng.uniform(0.1, 1, (20, 30)).astype(np.float32)
+    disparity[4:9, 7:15] = NAN
+    confidence[12, 3] = 0
+    holes = np.isnan(disparity) | (confidence == 0)
+    completed, weight = complete(disparity, confidence)
+    np.testing.assert_array_equal(completed[~holes], disparity[~holes])
+    np.testing.assert_array_equal(weight[~holes], confidence[~holes])
+    assert np.isfinite(completed).all()
+    np.testing.assert_allclose(weight[holes], COMPLETED_CONFIDENCE)
+
+
+def test_nothing_measured_stays_nothing() -> None:
+    completed, weight = complete(np.full((6, 7), NAN, np.float32), np.zeros((6, 7), np.float32))
+    assert np.isnan(completed).all()
+    assert not weight.any()
+
+
+def test_planes_reduce_noise_and_keep_slopes_and_steps() -> None:
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:60, :90].astype(np.float32)
+    truth = 20 + 0.08 * x - 0.05 * y + 15 * (x > 45)
+    noisy = (truth + rng.normal(0, 0.2, truth.shape)).astype(np.float32)
+    noisy[25:30, 20:24] = NAN
+    smoothed, sigma = smooth(noisy)
+    np.testing.assert_array_equal(np.isnan(smoothed), np.isnan(noisy))
+    error = (smoothed - truth)[8:-8, 8:-8]
+    assert np.nanstd(error) < 0.06
+    assert abs(np.nanmean(error)) < 0.01
+    assert np.nanmax(np.abs(error)) < SAME_SURFACE_PX
+    assert np.all(sigma[8:-8, 8:-8] > 0.15)
+    steady, _ = smooth(truth.astype(np.float32))
+    assert np.abs(steady - truth)[8:-8, 8:-8].max() < 0.03  # at the step, of the median
