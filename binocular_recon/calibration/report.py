@@ -280,7 +280,7 @@ def _working_depth(result: CalibrationResult) -> float:
 
 
 def _change(value: float, reference: float) -> str:
-    return f'{100 * (value / reference - 1):+.0f} %'
+    return f'{round(100 * (value / reference - 1)):+d} %'
 
 
 def _section(title: str, words: str, *content: str) -> str:
