@@ -182,6 +182,18 @@ class FilterConfig(Options):
         "Weigh each pixel by its match's confidence; off: by 1, and a pixel without a match takes"
         ' the nearest in its row',
     )
+    wls_complete: bool = option(
+        True,
+        'Pixels without a match take the disparity of what lies behind them, with a small'
+        ' confidence; off: smoothness alone fills them',
+    )
+    wls_disparity_steps: float = option(
+        0.1,
+        'Sensitivity to steps of the disparity: times their square, added to the gradient term',
+        unit='1/px^2',
+        minimum=0.0,
+        maximum=100.0,
+    )
     wls_tolerance_px: float = option(
         0.01,
         'Largest error of the solution against the exact one',
@@ -264,6 +276,8 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_alpha': 1.8,
         'wls_epsilon': 1e-4,
         'wls_use_confidence': False,
+        'wls_complete': False,
+        'wls_disparity_steps': 0.0,
     },
     'default': {},
 }

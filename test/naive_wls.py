@@ -38,5 +38,4 @@ def minimiser(
                     system[there, there] += link
                     system[here, there] -= link
                     system[there, here] -= link
-    solution: Array = np.linalg.solve(system, right_side)
-    return solution.reshape(height, width)
+    return np.asarray(np.linalg.solve(system, right_side), np.float64).reshape(height, width)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from typing import Any
 
@@ -68,10 +69,12 @@ def compare(bench: Bench, preset: str) -> dict[str, Any]:
         # without weights the filter fills holes first, which is not what is compared
         data_px = np.nan_to_num(data_px, nan=float(np.nanmedian(data_px)))
         weight = np.ones_like(data_px)
+    # eq. 13 with holes and the guide's weights alone
+    plain = dataclasses.replace(config.filter, wls_complete=False, wls_disparity_steps=0.0)
     start = time.perf_counter()
-    ours = filter_disparity(data_px, weight, guide, config.filter, limits_px=limits)
+    ours = filter_disparity(data_px, weight, guide, plain, limits_px=limits)
     between = time.perf_counter()
-    exact = solve_direct(data_px, weight, guide, config.filter)
+    exact = solve_direct(data_px, weight, guide, plain)
     end = time.perf_counter()
     return {
         'preset': preset,

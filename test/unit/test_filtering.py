@@ -18,7 +18,13 @@ LIMITS_PX = (0.0, 64.0)
 
 @pytest.mark.parametrize(('name', 'preset'), [('paper', 'paper'), ('weighted', 'default')])
 def test_reference(name: str, preset: str) -> None:
-    options = {'wls_lambda': 0.02, 'wls_alpha': 1.2, 'wls_epsilon': 1e-4}
+    options = {
+        'wls_lambda': 0.02,
+        'wls_alpha': 1.2,
+        'wls_epsilon': 1e-4,
+        'wls_complete': False,
+        'wls_disparity_steps': 0.0,
+    }
     config = ChainConfig.preset(
         preset, wls_tolerance_px=2e-4, **(options if preset == 'default' else {})
     ).filter
