@@ -16,6 +16,8 @@ from binocular_recon.calibration._rod_search import Track
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
+IntArray = npt.NDArray[np.int64]
+
 # Best tracks that may serve as the two rods a board is built on.
 ANCHORS = 14
 # Best tracks that may serve as its other rods.
@@ -26,8 +28,12 @@ ASTRAY_M = 0.06
 CROOKED = 0.12
 # Apparent spacing of two rods against their distance at the rods' own scale.
 NARROWEST, WIDEST = 0.2, 1.3
+# Rods of a board differ in scale by less than this.
+MOST_SCALE = 4.0
+# Share of the marks found that another identity must have too.
+FEWEST_KEPT = 0.7
 # Rods stand upright on the row: largest cosine between the two in a picture (perspective).
-MOST_SKEW = 0.6
+MOST_SKEW = 0.7
 
 
 class Anchor(NamedTuple):
@@ -107,6 +113,11 @@ def plane_marks(board: RodBoard, marks_px: FloatArray) -> FloatArray | None:
     depth = mapped[..., 2:]
     ahead = depth * np.sign(np.median(depth[found])) > 0
     projected: FloatArray = np.where(ahead, mapped[..., :2] / np.where(ahead, depth, 1.0), np.nan)
+    length = np.linalg.norm(projected[:, -1] - projected[:, 0], axis=1)
+    usual = np.nanmedian(length[found.any(1)])
+    # beyond the vanishing point or so near that no rig sees it
+    far = ~((length > usual / MOST_SCALE) & (length < usual * MOST_SCALE))
+    projected[far] = np.nan
     return projected
 
 
@@ -114,6 +125,7 @@ def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArr
     """Yield the same marks as other rods or at other heights, where the spacings allow it.
 
     With even spacing a board of which a part is seen may be shifted by a rod, or by two marks.
+    Some marks may fall off: feet on light ground that were taken for marks.
     """
     rods, marks = np.nonzero(np.isfinite(marks_px[..., 0]))
     plane = plane_marks(board, marks_px)
@@ -128,10 +140,11 @@ def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArr
         moves += [np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-2, 2)]
     for move in moves:
         r, m = rods + move[:, 0], marks + move[:, 1]
-        if min(r.min(), m.min()) < 0 or r.max() >= board.count or m.max() >= board.marks_per_rod:
+        exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)
+        if exists.mean() < FEWEST_KEPT:
             continue
         moved = np.full_like(marks_px, np.nan)
-        moved[r, m] = marks_px[rods, marks]
+        moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
         if _plausible(board, moved):
             yield moved
 
@@ -164,7 +177,7 @@ def _skew(first: FloatArray, last: FloatArray) -> float:
 
 
 def expected_in_picture(
-    board: RodBoard, predicted_px: FloatArray, size: tuple[int, int], margin_px: float
+    predicted_px: FloatArray, size: tuple[int, int], margin_px: float
 ) -> npt.NDArray[np.bool_]:
     """Return which marks should be in the picture, (R, M) bool."""
     limit = np.array(size) - 1 - margin_px
@@ -236,7 +249,7 @@ def _best_pair(
     looks: FloatArray,
     board: RodBoard,
     size: tuple[int, int],
-) -> tuple[FloatArray, FloatArray] | None:
+) -> tuple[IntArray, IntArray] | None:
     """Try every two tracks as every two rods; return tracks and marks of the best board."""
     x = board.rods_xz_m[:, 0]
     best, best_score = None, 0.0
@@ -273,7 +286,7 @@ def _best_single(
     looks: FloatArray,
     board: RodBoard,
     size: tuple[int, int],
-) -> tuple[FloatArray, FloatArray] | None:
+) -> tuple[IntArray, IntArray] | None:
     """Return track and marks of the best rod of a board that has only one."""
     best, best_score = None, 0.0
     chosen = np.empty(1, np.int64)

@@ -87,7 +87,7 @@ def _same_rod(borders: FloatArray, i: int, j: int) -> bool:
     """Return whether the bands at two borders have the same two levels."""
     contrast = 0.5 * (abs(borders[i, STEP]) + abs(borders[j, STEP]))
     limit = LEVEL_TOLERANCE * contrast
-    return (
+    return bool(
         abs(borders[i, LIGHT] - borders[j, LIGHT]) < limit
         and abs(borders[i, DARK] - borders[j, DARK]) < limit
     )

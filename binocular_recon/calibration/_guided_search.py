@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.calibration._board_layout import lateral_limit_m
+from binocular_recon.calibration._layout_kernels import BESIDE
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
@@ -87,7 +88,7 @@ def complete(
         missing = ~np.isfinite(marks_px[rod, :, 0])
         if not missing.any() or not np.isfinite(predicted[rod]).all():
             continue
-        window = _window(board, predicted[rod], int((~missing).sum()), width_px)
+        window = _window(board, predicted, rod, int((~missing).sum()), width_px)
         points = np.full((board.marks_per_rod, 2), np.nan)
         agreement = np.zeros(board.marks_per_rod)
         search_line(middle, predicted[rod], window, levels, rise, points, agreement)
@@ -119,19 +120,25 @@ def _levels(
     return np.array([np.median(dark), np.median(light)])
 
 
-def _window(board: RodBoard, predicted: FloatArray, found: int, width_px: float) -> FloatArray:
-    """Return how far off a rod's marks may be: sideways at both ends, along the rod; and a step."""
+def _window(
+    board: RodBoard, everywhere: FloatArray, rod: int, found: int, width_px: float
+) -> FloatArray:
+    """Return how far off a rod's marks may be, sideways and along the rod, and the steps."""
+    predicted = everywhere[rod]
     scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
     gap = scale * float(np.diff(board.marks_m).min())
     if found == 0:
-        side = lateral_limit_m(board) * scale
+        apart = np.linalg.norm(everywhere[:, 0] - predicted[0], axis=1)
+        apart[rod] = np.inf
+        side = min(lateral_limit_m(board) * scale, BESIDE * float(np.nanmin(apart)))
         along = min(0.4 * gap, (4 * board.height_sigma_m + 0.02) * scale + 2)
     elif found == 1:
         side = 0.3 * width_px + 4 * board.tilt_sigma_rad * np.ptp(board.marks_m) * scale
         along = 2 + 0.05 * gap
     else:
         side, along = 0.3 * width_px, 1.5 + 0.04 * gap
-    return np.array([side, along, max(1.0, 0.25 * width_px)])
+    # however far the window reaches, at most so many places are tried
+    return np.array([side, along, max(1.0, 0.25 * width_px, side / 10), max(1.0, along / 15)])
 
 
 @kernel
@@ -152,7 +159,7 @@ def _agreement(
     if xa < 0 or xa >= width or xb < 0 or xb >= width:
         return -2.0
     off = abs(middle[yb, xb] - levels[0]) + abs(middle[ya, xa] - levels[1])
-    return 1.0 - off / abs(levels[1] - levels[0])
+    return float(1.0 - off / abs(levels[1] - levels[0]))
 
 
 @kernel
@@ -173,8 +180,8 @@ def search_line(
         Image averaged over the rod's width.
     predicted : (M, 2) float64
         Where the marks should be, px.
-    window : (3,) float64
-        Largest shift sideways and along, and the step sideways, px.
+    window : (4,) float64
+        Largest shift sideways and along, and the steps sideways and along, px.
     levels : (2,) float64
         Grey levels of dark and light bands.
     rise : float
@@ -188,13 +195,14 @@ def search_line(
     length = math.sqrt(dx * dx + dy * dy)
     dx, dy = dx / length, dy / length
     step = window[2]
-    sides, alongs = int(math.ceil(window[0] / step)), int(math.ceil(window[1]))
+    sides, alongs = math.ceil(window[0] / step), math.ceil(window[1] / window[3])
     best = -1e9
     best_low = best_high = best_along = 0.0
     flipped = levels[::-1].copy()
     for low in range(-sides, sides + 1):
         for high in range(-sides, sides + 1):
-            for along in range(-alongs, alongs + 1):
+            for shift in range(-alongs, alongs + 1):
+                along = shift * window[3]
                 total = 0.0
                 for m in range(count):
                     f = m / (count - 1)
@@ -206,7 +214,7 @@ def search_line(
                     )
                     total += max(-0.5, value)
                 # equal scores: the smaller shift
-                total -= 1e-3 * (abs(low) + abs(high) + abs(along))
+                total -= 1e-3 * (abs(low) + abs(high) + abs(shift))
                 if total > best:
                     best, best_low, best_high, best_along = total, low, high, along
     for m in range(count):

@@ -20,6 +20,8 @@ MISSING, UNEXPLAINED = 0.3, 0.5
 # Rods of a board are painted alike: standard deviation of the logarithm of a track's step. Their
 # filter's width is the rod's within this, in logarithms.
 STEP_RANGE, WIDTH_RANGE = 0.4, 0.6
+# A rod is off sideways by less than this share of the distance to the next one.
+BESIDE = 0.35
 # How far a border may be from where two other rods put the mark, as a share of the spacing.
 ALONG = 0.35
 
@@ -31,8 +33,8 @@ def predict_rod(
     """Write bottom and top x, y of the rod at ``x`` from those of two others; False if behind.
 
     ``ends`` (2, 5): bottom and top x, y, px per metre of two rods at ``x0`` and ``x1`` (the same
-    rod if these are equal); ``place`` is x, x0, x1. Points of the plane combine with weights that are depths, the inverse of
-    the scale.
+    rod if these are equal); ``place`` is x, x0, x1. Points of the plane combine with weights that
+    are depths, the inverse of the scale.
     """
     x, x0, x1 = place
     if x0 == x1:
@@ -99,7 +101,29 @@ def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
         j += 1
     ax, ay = predicted[2] - predicted[0], predicted[3] - predicted[1]
     off = (track[j, 0] - predicted[0]) * ay - (track[j, 1] - predicted[1]) * ax
-    return off * off > lateral * lateral * (ax * ax + ay * ay)
+    return bool(off * off > lateral * lateral * (ax * ax + ay * ay))
+
+
+@kernel
+def _taken(chosen: IntArray, track: int, count: int) -> bool:
+    """Return whether one of the first ``count`` rods has the track."""
+    return bool((chosen[:count] == track).any())
+
+
+@kernel
+def _neighbour_gap(
+    ends: FloatArray, rods: tuple[int, int], rods_x: FloatArray, r: int, predicted: FloatArray
+) -> float:
+    """Return how far the feet of the next rods are from that of rod r in the picture, px."""
+    beside = np.empty(4)
+    gap = 1e9
+    for other in (r - 1, r + 1):
+        if 0 <= other < rods_x.size:
+            place = (rods_x[other], rods_x[rods[0]], rods_x[rods[1]])
+            if predict_rod(ends, place, beside):
+                distance = math.hypot(beside[0] - predicted[0], beside[1] - predicted[1])
+                gap = min(gap, distance)
+    return gap
 
 
 @kernel
@@ -156,9 +180,10 @@ def score_layout(
                 expected += 1
         length = math.hypot(predicted[2] - predicted[0], predicted[3] - predicted[1])
         lateral = limits[2] * length / (marks[-1] - marks[0]) + limits[3]
+        lateral = min(lateral, BESIDE * _neighbour_gap(ends, rods, rods_x, r, predicted))
         best = 0.0
         for t in range(tracks.shape[0]):
-            if _far(tracks[t], predicted, 2 * lateral):
+            if _taken(chosen, t, r) or _far(tracks[t], predicted, 2 * lateral):
                 continue
             explained, unexplained = _match_track(tracks[t], predicted, marks, lateral, trial)
             width = limits[5] + math.log(length / (marks[-1] - marks[0]))

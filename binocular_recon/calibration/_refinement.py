@@ -8,12 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration._rod_fit import (
-    BorderFit,
-    RodFit,
-    fit_border,
-    fit_rods,
-)
+from binocular_recon.calibration._border_fit import BorderFit, fit_border
+from binocular_recon.calibration._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
@@ -27,6 +23,8 @@ SHORT_REACH_PX = 2.5
 LARGEST_RESIDUAL = 0.12
 # A border's step against the typical one of the board.
 LEAST_STEP, LARGEST_STEP = 0.4, 2.0
+# Levels of a band against the typical ones of the board, as a share of the step.
+LEVEL_RANGE = 0.45
 # Marks of one rod fit their exact spacing to this, px, and to this share of the rod's length
 # (distortion); the usual error of a mark, px.
 STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
@@ -96,7 +94,8 @@ def _fit_sides(
             near[1:] |= seen[:-1]
             near[:-1] |= seen[1:]
         visible = np.where(near[:, None], everywhere[rod], np.nan)
-        lines.append(visible if seen.any() else None)
+        known = seen.any() and np.isfinite(everywhere[rod]).all()
+        lines.append(visible if known else None)
     widths = [board.rod_diameter_m * _px_per_m(board, rod) for rod in predicted_px]
     return fit_rods(image, lines, everywhere[..., 1], np.array(widths))
 
@@ -113,7 +112,7 @@ def _fit_borders(
     table: list[list[BorderFit | None]] = []
     for rod, marks in zip(rods, marks_px, strict=True):
         table.append([None] * len(marks))
-        found = np.nonzero(np.isfinite(marks[:, 0]))[0]
+        found = np.nonzero(np.isfinite(marks[:, 0]))[0].tolist()
         if rod is None:
             continue
         scale = 2 * rod.place(marks[found[0], 1])[2] / board.rod_diameter_m
@@ -195,25 +194,29 @@ def _curve_model(fits: list[BorderFit]) -> FloatArray:
 
 def _reject_odd_looking(table: list[list[BorderFit | None]]) -> None:
     """Drop borders whose step, levels or residuals are not like the board's other ones."""
-    steps = [
-        (fit.above - fit.below) * (1 if m % 2 == 0 else -1)
-        for row in table
-        for m, fit in enumerate(row)
-        if fit is not None
-    ]
-    if not steps:
+    levels = [_dark_and_light(m, fit) for row in table for m, fit in enumerate(row) if fit]
+    if not levels:
         return
-    typical = float(np.median(steps))
+    dark, light = np.median(levels, axis=0)
+    typical = light - dark
     for row in table:
         for m, fit in enumerate(row):
             if fit is None:
                 continue
-            step = (fit.above - fit.below) * (1 if m % 2 == 0 else -1)
+            own_dark, own_light = _dark_and_light(m, fit)
+            step = own_light - own_dark
+            off = max(abs(own_dark - dark), abs(own_light - light))
             if (
                 not LEAST_STEP * typical < step < LARGEST_STEP * typical
+                or off > LEVEL_RANGE * typical
                 or fit.residual > LARGEST_RESIDUAL * step
             ):
                 row[m] = None
+
+
+def _dark_and_light(mark: int, fit: BorderFit) -> tuple[float, float]:
+    """Return the levels of the bands that should be dark and light at a border."""
+    return (fit.below, fit.above) if mark % 2 == 0 else (fit.above, fit.below)
 
 
 def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt.NDArray[np.bool_]:
@@ -224,7 +227,6 @@ def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt
     """
     stray = np.zeros(marks.shape[:2], np.bool_)
     for r, rod in enumerate(marks):
-        current = rod.copy()
         reference = rod if plane is None else plane[r]
         ends = np.nonzero(np.isfinite(reference[:, 0]))[0]
         if len(ends) < 2:
@@ -260,8 +262,8 @@ def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt
 def _deviation(heights: FloatArray, off: FloatArray, sigma: FloatArray) -> FloatArray:
     """Fit the deviations of a rod's marks by a parabola with priors; return the residuals.
 
-    Each residual is divided by the square root of its redundancy, which makes the one whose removal
-    helps most the largest. (M,), NaN = not found.
+    Each residual is divided by the square root of its redundancy, which makes the one whose
+    removal helps most the largest. (M,), NaN = not found.
     """
     found = np.isfinite(off)
     h = (heights[found] - heights.mean()) / np.ptp(heights) * 2

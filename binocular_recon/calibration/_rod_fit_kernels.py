@@ -14,8 +14,9 @@ FloatImage = npt.NDArray[np.float32]
 FloatArray = npt.NDArray[np.float64]
 
 # Parameters of a rod in the picture, with z = (y - y_middle) / y_scale: the middle is at
-# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and sun
-# is as bright as 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half width.
+# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and
+# sun is as bright as 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half
+# width.
 # SIGMA is the blur, px.
 C0, C1, C2, R0, R1, S1, S2, SIGMA = range(8)
 ROD_PARAMETERS = 8
@@ -152,9 +153,8 @@ def accumulate_rows(
         rows[r, 3] = rows[r, 4] = np.nan
         middle = rod[C0] + z * (rod[C1] + z * rod[C2])
         half = rod[R0] + z * rod[R1]
-        x0 = int(math.ceil(middle - half - BESIDE_PX))
-        x1 = int(math.floor(middle + half + BESIDE_PX))
-        x0, x1 = max(0, x0), min(image.shape[1] - 1, x1)
+        x0 = max(0, math.ceil(middle - half - BESIDE_PX))
+        x1 = min(image.shape[1] - 1, math.floor(middle + half + BESIDE_PX))
         # both sides of the rod must be in the picture
         if x0 > middle - half - 1 or x1 < middle + half + 1 or half < 0.5:
             continue

@@ -75,8 +75,8 @@ def find_tracks(
     threshold : float
         Least step of a border, grey levels.
     leans : tuple of float
-        Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and up
-        to 20 on a quiet background.
+        Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and
+        up to 20 on a quiet background.
 
     """
     tracks = [track for lean in leans for track in _leaning_tracks(grey, board, threshold, lean)]
@@ -87,7 +87,7 @@ def find_tracks(
 def _leaning_tracks(
     grey: FloatImage, board: RodBoard, threshold: float, lean: float
 ) -> list[Track]:
-    """Return the tracks of rods with slope dx / dy near ``lean``: upright once it is sheared away."""
+    """Return the tracks of rods with slope dx / dy near ``lean``: upright once sheared."""
     if not lean:
         return _upright_tracks(grey, board, threshold)
     height, width = grey.shape

@@ -35,11 +35,13 @@ ENOUGH = 0.6
 FURTHER_LEANS = (-0.22, 0.22)
 # By how many marks (missing ones count half) an identity must beat every other one.
 CLEAR_MARGIN = 1.5
+# Identities adopted one after the other before giving up.
+MOST_IDENTITIES = 3
 # Marks nearer to the frame than this may be missed, px.
 FRAME_MARGIN_PX = 4.0
 AMBIGUOUS = (
-    'too little of the board is in view to tell which rods and heights these are; show one more rod'
-    ' or its feet'
+    'too little of the board is in view to tell which rods and heights these are; show one more'
+    ' rod or the feet'
 )
 
 
@@ -109,14 +111,16 @@ def _detect(grey: FloatImage, board: RodBoard, leans: tuple[float, ...]) -> Dete
     rough, width = identify(find_tracks(stretched, board, threshold, leans), board, size)
     if not np.isfinite(rough).any():
         return Detection(rough, rough[..., 0], ('no rod found',))
-    refined = _measure(stretched, board, rough, width)
-    identity = _identity(stretched, board, refined.marks_px, width)
-    if identity is None:
-        nothing = np.full_like(rough, np.nan)
-        return Detection(nothing, nothing[..., 0], (AMBIGUOUS,))
-    if identity is not refined.marks_px:
-        refined = _measure(stretched, board, identity, width)
-    return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+    for _ in range(MOST_IDENTITIES):
+        refined = _measure(stretched, board, rough, width)
+        identity = _identity(stretched, board, refined.marks_px, width)
+        if identity is refined.marks_px:
+            return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+        if identity is None:
+            break
+        rough = identity
+    nothing = np.full_like(rough, np.nan)
+    return Detection(nothing, nothing[..., 0], (AMBIGUOUS,))
 
 
 def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: float) -> Refined:
@@ -150,13 +154,17 @@ def _identity(
         return None
     scores = [_support(image, board, marks_px, width_px)]
     ways = [marks_px]
+    count = np.isfinite(marks_px[..., 0]).sum()
     for other in other_identities(board, marks_px):
         ways.append(other)
-        scores.append(_support(image, board, other, width_px))
+        # marks that the other identity has no place for speak against it
+        dropped = count - np.isfinite(other[..., 0]).sum()
+        scores.append(_support(image, board, other, width_px) - 0.5 * dropped)
     order = np.argsort(-np.array(scores), kind='stable')
     if len(ways) > 1 and scores[order[0]] - scores[order[1]] < CLEAR_MARGIN:
         return None
-    return ways[order[0]]
+    best: FloatArray = ways[order[0]]
+    return best
 
 
 def _support(image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float) -> float:
@@ -171,7 +179,7 @@ def _support(image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px:
         added = int(np.isfinite(refine(image, board, only_new, predicted, plane).sigma_px).sum())
     found = int(np.isfinite(marks_px[..., 0]).sum()) + added
     size = image.shape[1], image.shape[0]
-    expected = expected_in_picture(board, predicted, size, FRAME_MARGIN_PX)
+    expected = expected_in_picture(predicted, size, FRAME_MARGIN_PX)
     return found - 0.5 * max(0, int(expected.sum()) - found)
 
 

@@ -17,6 +17,7 @@ from binocular_recon.simulation.render import (
     Billboard,
     RodPaint,
     Sensor,
+    billboard_opacity,
     draw_backdrop,
     draw_billboard,
     draw_rods,
@@ -126,7 +127,7 @@ def simulate_capture(
         board, rig, rng, depth_m=options.depth_m, roll_rad=(roll[0], roll[1]), cut=options.cut
     )
     look = _draw_paint(board, rng)
-    hidden_by = [_occluder(placed, rng) for _ in range(rng.integers(1, 3) * options.occluded)]
+    hidden_by = _occluders(placed, rig, rng) if options.occluded else []
     backdrop = _backdrop(rig, options, rng)
     gain = rng.uniform(0.75, 1.1)
     sensors = [
@@ -139,7 +140,8 @@ def simulate_capture(
         draw_rods(canvas, view, placed, look)
         opacity = np.zeros(canvas.shape[:2], np.float32)
         for billboard in hidden_by:
-            np.maximum(opacity, draw_billboard(canvas, view, billboard), out=opacity)
+            covered = draw_billboard(canvas, view, billboard)
+            np.maximum(opacity, covered, out=opacity)
         images.append(expose(canvas, sensor, rng))
         pixels.append(placed.borders_px(view))
         visible.append(visible_marks(placed, view, opacity))
@@ -211,6 +213,23 @@ def _backdrop(rig: RawRig, options: CaptureOptions, rng: np.random.Generator) ->
     corner = -step * np.array([texture.shape[1], texture.shape[0], 0.0]) / 2
     corner += [rig.baseline_m / 2, 0.0, BACKDROP_DEPTH_M]
     return Billboard(texture, None, corner, step * np.eye(3)[0], step * np.eye(3)[1])
+
+
+def _occluders(placed: PlacedBoard, rig: RawRig, rng: np.random.Generator) -> list[Billboard]:
+    """Return one or two things that hide a stretch of some rods, at most half of its marks."""
+    while True:
+        billboards = [_occluder(placed, rng) for _ in range(rng.integers(1, 3))]
+        for view in rig.views():
+            width, height = view.camera.size
+            nothing = np.zeros((height, width), np.float32)
+            covered = nothing.copy()
+            for billboard in billboards:
+                np.maximum(covered, billboard_opacity(view, billboard), out=covered)
+            hidden = visible_marks(placed, view, nothing) & ~visible_marks(placed, view, covered)
+            if hidden.sum(1).max() > placed.board.marks_per_rod / 2:
+                break
+        else:
+            return billboards
 
 
 def _occluder(placed: PlacedBoard, rng: np.random.Generator) -> Billboard:

@@ -107,13 +107,21 @@ def draw_billboard(canvas: Canvas, view: View, billboard: Billboard) -> Canvas:
     color = cv2.remap(
         billboard.texture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    opacity: Canvas = cv2.remap(
-        billboard.alpha, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-    ).astype(np.float32) / np.float32(255)
+    opacity = billboard_opacity(view, billboard)
     touched = np.nonzero(opacity.any(1))[0]
     if touched.size:
         band = slice(touched[0], touched[-1] + 1)
         canvas[band] += opacity[band, :, None] * (color[band] - canvas[band])
+    return opacity
+
+
+def billboard_opacity(view: View, billboard: Billboard) -> Canvas:
+    """Return what a billboard covers of a view: (H, W) float32, opacity 0..1."""
+    columns, rows = _texture_coordinates(view, billboard)
+    alpha = cv2.remap(
+        billboard.alpha, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+    )
+    opacity: Canvas = alpha.astype(np.float32) / np.float32(255)
     return opacity
 
 
