@@ -28,7 +28,7 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'numba>=0.59',
+        'numba>=0.61',  # earlier ones mix up the types of calls from several threads
         'numpy>=1.26,<3',
         'opencv-python-headless>=4.6.0.66,<6',
         'PyYAML>=6',
