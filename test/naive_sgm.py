@@ -47,11 +47,17 @@ def costs(
 def aggregate(
     costs: npt.NDArray[np.int64], levels: npt.NDArray[np.int64], P1: int, P2: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the sums over four paths; ``P2`` (256) by the step of grey level."""
-    total = np.zeros_like(costs)
-    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        total += _along(costs, levels, P1, P2, dy, dx)
-    return total
+    """Return the sums over four paths; ``P2`` (256) by the step of grey level.
+
+    The sums that the sweep from the top stores for the upper half, and the sweep from the bottom
+    for the lower half, lose their last bit.
+    """
+    down = _along(costs, levels, P1, P2, 0, 1) + _along(costs, levels, P1, P2, 1, 0)
+    up = _along(costs, levels, P1, P2, 0, -1) + _along(costs, levels, P1, P2, -1, 0)
+    middle = len(costs) // 2
+    down[:middle] -= down[:middle] % 2
+    up[middle:] -= up[middle:] % 2
+    return down + up
 
 
 def _along(

@@ -4,8 +4,8 @@
 A cost is one byte, 0 (score 1) to `WORST` (score 0 or less); paths add a quarter of it, so that
 their sums fit a byte too. Two sweeps, from the top and from
 the bottom, carry two paths each, along the columns and along the rows. They meet in the middle:
-each stores its sums for one half of the picture only, and in the other half adds what its
-opposite stored. All sums are integers.
+each stores half its sums, in a byte, for one half of the picture only, and in the other half adds
+what its opposite stored. All sums are integers.
 
 The layout of disparities is that of `_ncc_kernels`, padded to whole vectors.
 """
@@ -236,9 +236,8 @@ def _aggregate_row(
     sweep: Sweep,
     y: int,
     total: Array,
-    at: int,
 ) -> None:
-    """Write the sums over the sweep's two paths of row ``y`` to ``total`` from ``at``."""
+    """Write the sums over the sweep's two paths of row ``y`` to ``total`` (W * padded)."""
     height, width = levels.shape
     padded = volume.padded
     stride = padded + 1
@@ -271,7 +270,7 @@ def _aggregate_row(
             store(sums, here + k, down)
             store(side, here_side + k, across)
             next_least, next_side = smaller(next_least, down), smaller(next_side, across)
-            store(total, at + x * padded + k, to_uint16(down) + to_uint16(across))
+            store(total, x * padded + k, to_uint16(down) + to_uint16(across))
         sweep.least[new, x] = smallest(next_least)
         least_side = smallest(next_side)
 
@@ -297,11 +296,15 @@ def aggregate_rows(
     start: int,
     stop: int,
 ) -> None:
-    """Store the sweep's sums of rows ``start`` to ``stop`` in ``partial``."""
+    """Store the halves of the sweep's sums of rows ``start`` to ``stop`` in ``partial``."""
     row = levels.shape[1] * volume.padded
+    total = np.empty(row, np.uint16)
     for i in range(stop - start):
         y = start + i if sweep.downward else stop - 1 - i
-        _aggregate_row(volume, levels, penalties, sweep, y, partial, (y - start) * row)
+        _aggregate_row(volume, levels, penalties, sweep, y, total)
+        for k in range(0, row, LANES):
+            half = to_uint8(shift_right(load(total, k), 1))
+            store(partial, (y - start) * row + k, half)
 
 
 @kernel
@@ -320,7 +323,7 @@ def decide_rows(
     total = np.empty(row, np.uint16)
     for i in range(stop - start):
         y = start + i if sweep.downward else stop - 1 - i
-        _aggregate_row(volume, levels, penalties, sweep, y, total, 0)
+        _aggregate_row(volume, levels, penalties, sweep, y, total)
         _decide_row(volume, total, partial, (y - start) * row, decision, y)
 
 
@@ -338,7 +341,8 @@ def _decide_row(
         here = width - 1 - x
         best = splat(NO_KEY)
         for k in range(0, padded, LANES):
-            both = load(total, x * padded + k) + load(partial, at + x * padded + k)
+            other = shift_left(to_uint16(load(partial, at + x * padded + k)), 1)
+            both = load(total, x * padded + k) + other
             store(total, x * padded + k, both)
             keys = shift_left(to_int32(both), PLACE_BITS) + load(tags, k)
             best = smaller(best, keys)

@@ -9,8 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon._jit import over_strips
+from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.stereo._layout_kernels import is_whole, lay_out_strip
 from binocular_recon.stereo._ncc_kernels import Pair
 
 FloatImage = npt.NDArray[np.float32]
@@ -48,8 +51,13 @@ def check_pair(
     return left, right
 
 
+def padded_range(config: MatchConfig) -> int:
+    """Return the number of disparities, padded to whole vectors."""
+    return -(-config.disparity_range // LANES) * LANES
+
+
 def lay_out(
-    left: FloatImage, right: FloatImage, config: MatchConfig, disparities: int, border: int
+    left: FloatImage, right: FloatImage, config: MatchConfig, border: int
 ) -> tuple[Pair, int]:
     """Return checked pictures as kernels need them, and their steps per grey level.
 
@@ -61,27 +69,27 @@ def lay_out(
         left = cv2.copyMakeBorder(left, *4 * [border], cv2.BORDER_REFLECT_101)
         right = cv2.copyMakeBorder(right, *4 * [border], cv2.BORDER_REFLECT_101)
     height, width = left.shape
-    padded = width + disparities - 1
-    left_levels = np.zeros((height + 1, width), kind)
-    left_bad = np.zeros((height + 1, width), np.uint8)
-    left_levels[:-1], left_bad[:-1] = _centred(left, steps)
-    right_levels = np.zeros((height + 1, padded), kind)
-    right_bad = np.ones((height + 1, padded), np.uint8)
-    right_bad[-1] = 0
-    # place i of the mirrored row is column width - 1 - min_disparity - i of the picture
-    first, last = max(0, -config.min_disparity), min(padded, width - config.min_disparity)
-    if first < last:
-        columns = slice(width - config.min_disparity - last, width - config.min_disparity - first)
-        levels, bad = _centred(right[:, columns], steps)
-        right_levels[:-1, first:last] = levels[:, ::-1]
-        right_bad[:-1, first:last] = bad[:, ::-1]
-    least = (config.texture_threshold * steps) ** 2 * size * size
-    return Pair(left_levels, right_levels, left_bad, right_bad, size, least), steps
+    places = width + padded_range(config) - 1
+    pair = Pair(
+        np.empty((height + 1, width), kind),
+        np.empty((height + 1, places), kind),
+        np.empty((height + 1, width), np.uint8),
+        np.empty((height + 1, places), np.uint8),
+        size,
+        (config.texture_threshold * steps) ** 2 * size * size,
+    )
+    over_strips(
+        lambda start, stop: lay_out_strip(
+            left, right, steps, config.min_disparity, pair, start, stop
+        ),
+        height + 1,
+    )
+    return pair, steps
 
 
 def _resolution(left: FloatImage, right: FloatImage, config: MatchConfig) -> tuple[int, Any]:
     """Choose steps per grey level, and a type in which their sums of products are exact."""
-    if _is_integer(left) and _is_integer(right):
+    if is_whole(left) and is_whole(right):
         return 1, np.float32
     steps = 1
     while (config.correlation_window_size * 128 * 2 * steps) ** 2 <= _EXACT:
@@ -89,18 +97,3 @@ def _resolution(left: FloatImage, right: FloatImage, config: MatchConfig) -> tup
     if config.texture_threshold * steps >= _STEPS_OF_TEXTURE:
         return steps, np.float32
     return _FINE_STEPS, np.float64
-
-
-def _is_integer(image: FloatImage) -> bool:
-    """Whether every level is a whole number from 0 to 255 (or there is no data)."""
-    whole = (image == np.rint(image)) & (image >= 0) & (image <= 255)
-    return bool(np.all(whole | np.isnan(image)))
-
-
-def _centred(
-    image: FloatImage, steps: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Return whole steps from mid grey, 0 where there is no data, and where that is."""
-    bad = np.isnan(image)
-    levels = np.rint(np.where(bad, 128, image).astype(np.float64) * steps) - 128 * steps
-    return levels, bad

@@ -8,8 +8,7 @@ over k run on vector units.
 Exactness: pictures hold centred integers, so sums of products are exact and do not depend on
 where they started; neither strips nor crops change a score.
 
-LLVM vectorises the inner loops because each writes one array only, indexes from 0 without
-conditions, and takes its maximum of integers: a score and its place share one integer, the key.
+A score and its place share one integer, the key, so that one maximum finds both.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
+from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
 
 Array = npt.NDArray[Any]
 
@@ -65,12 +65,13 @@ class Statistics(NamedTuple):
 class Products(NamedTuple):
     """Sums of products.
 
-    ``columns`` (size + W, D) are over a window's rows, the first ``size`` 0; ``window`` (D) is
-    over the whole window.
+    ``columns`` ((size + W) * padded) are over a window's rows, the first ``size`` 0; ``window``
+    (padded) is over the whole window.
     """
 
     columns: Array
     window: Array
+    padded: int
 
 
 @kernel
@@ -88,12 +89,10 @@ def new_statistics(pair: Pair) -> Statistics:
 @kernel
 def new_products(pair: Pair) -> Products:
     """Return the sums of products before the first row."""
-    width, size = pair.left.shape[1], pair.size
-    disparities = pair.right.shape[1] - width + 1
-    return Products(
-        np.zeros((size + width, disparities), pair.left.dtype),
-        np.zeros(disparities, pair.left.dtype),
-    )
+    width = pair.left.shape[1]
+    padded = pair.right.shape[1] - width + 1
+    zero = pair.left[pair.left.shape[0] - 1, 0]
+    return Products(np.full((pair.size + width) * padded, zero), np.full(padded, zero), padded)
 
 
 @kernel
@@ -168,54 +167,48 @@ def normalise_row(pair: Pair, statistics: Statistics) -> None:
 
 
 @kernel
-def add_products(
-    pair: Pair, products: Products, new: int, old: int, start: int, stop: int
+def score_columns(
+    pair: Pair,
+    statistics: Statistics,
+    products: Products,
+    rows: tuple[int, int],
+    start: int,
+    stop: int,
+    scores: Array,
 ) -> None:
-    """Move the column sums of products of columns ``start`` to ``stop`` down by a row."""
-    last = pair.left.shape[1] - 1
-    disparities = products.window.size
-    left_new, left_old = pair.left[new], pair.left[old]
-    right_new, right_old = pair.right[new], pair.right[old]
-    for x in range(start, stop):
-        sums = products.columns[pair.size + x]
-        a, b = left_new[x], left_old[x]
-        entering = right_new[last - x : last - x + disparities]
-        leaving = right_old[last - x : last - x + disparities]
-        for k in range(disparities):
-            sums[k] += a * entering[k] - b * leaving[k]
+    """Move the sums of columns ``start`` to ``stop`` down to row ``rows[0]``; ``rows[1]`` leaves.
 
-
-@kernel
-def score_windows(
-    pair: Pair, statistics: Statistics, products: Products, start: int, stop: int, scores: Array
-) -> None:
-    """Write the scores of the windows that end at columns ``start`` to ``stop`` to ``scores``.
-
-    Must be called for all columns in turn, the first with ``products.window`` zero.
-    ``scores`` (stop - start, D) holds `NO_SCORE` where there is none.
+    Then write the scores of the windows that end there to ``scores`` ((stop - start) * padded),
+    `NO_SCORE` where there is none; nothing if it is empty. Must be called for all columns in
+    turn, the first with ``products.window`` zero.
     """
-    size, last = pair.size, pair.left.shape[1] - 1
-    window = products.window
-    disparities = window.size
+    size, last, padded = pair.size, pair.left.shape[1] - 1, products.padded
+    columns, window = products.columns, products.window
+    left_new, left_old = pair.left[rows[0]], pair.left[rows[1]]
+    right_new, right_old = pair.right[rows[0]], pair.right[rows[1]]
+    whole, rest = statistics.right_norm[0], statistics.right_norm[1]
+    norm, bias = statistics.right_norm[2], statistics.right_norm[3]
     for x in range(start, stop):
-        entering, leaving = products.columns[size + x], products.columns[x]
-        for k in range(disparities):
-            window[k] += entering[k] - leaving[k]
-        row = scores[x - start]
-        first = x - size + 1
-        if first < 0 or statistics.left_norm[1, first] == 0:
-            row[:] = NO_SCORE
+        here, at = last - x, (size + x) * padded
+        entering, leaving = splat(left_new[x]), splat(left_old[x])
+        for k in range(0, padded, LANES):
+            column = load(columns, at + k) + entering * load(right_new, here + k)
+            column = column - leaving * load(right_old, here + k)
+            store(columns, at + k, column)
+        if scores.size == 0:
             continue
-        total, inverse = statistics.left_norm[0, first], statistics.left_norm[1, first]
-        here = last - x
-        whole = statistics.right_norm[0, here : here + disparities]
-        rest = statistics.right_norm[1, here : here + disparities]
-        norm = statistics.right_norm[2, here : here + disparities]
-        bias = statistics.right_norm[3, here : here + disparities]
-        for k in range(disparities):
+        first = max(x - size + 1, 0)
+        total, inverse = (
+            splat(statistics.left_norm[0, first]),
+            splat(statistics.left_norm[1, first]),
+        )
+        for k in range(0, padded, LANES):
+            product = load(window, k) + load(columns, at + k) - load(columns, x * padded + k)
+            store(window, k, product)
             # eq. 10; the mean in two parts: their difference from the products stays exact
-            covariance = window[k] - total * whole[k] - total * rest[k]
-            row[k] = covariance * inverse * norm[k] + bias[k]
+            covariance = product - total * load(whole, here + k) - total * load(rest, here + k)
+            score = covariance * inverse * load(norm, here + k) + load(bias, here + k)
+            store(scores, (x - start) * padded + k, score)
 
 
 @kernel
@@ -223,30 +216,30 @@ def score_strip(pair: Pair, scores: Array, start: int, stop: int) -> None:
     """Write the scores of rows ``start`` to ``stop`` to ``scores`` (H, W, D); NaN = none."""
     width, size = pair.left.shape[1], pair.size
     radius, nothing = size // 2, pair.left.shape[0] - 1
-    statistics = new_statistics(pair)
-    products = new_products(pair)
-    row = np.empty((width, products.window.size), pair.left.dtype)
+    statistics, products = new_statistics(pair), new_products(pair)
+    row = np.empty(width * products.padded, pair.left.dtype)
     top = max(start - radius, 0)
     for new in range(top, min(stop + radius, nothing)):
         old = new - size if new - size >= top else nothing
         enter_row(pair, statistics, new, old)
-        add_products(pair, products, new, old, 0, width)
         y = new - radius
-        if y < start or new - top < size - 1:
-            continue
-        normalise_row(pair, statistics)
-        products.window[:] = 0
-        score_windows(pair, statistics, products, 0, width, row)
-        for x in range(radius, width - radius):
-            for k in range(row.shape[1]):
-                score = row[x + radius, k]
-                if score != NO_SCORE:
-                    scores[y, x, k] = score
+        ready = y >= start and new - top >= size - 1
+        if ready:
+            normalise_row(pair, statistics)
+            products.window[:] = 0
+        score_columns(pair, statistics, products, (new, old), 0, width, row if ready else row[:0])
+        for x in range(radius if ready else width, width - radius):
+            if statistics.left_norm[1, x - radius] > 0:
+                for k in range(scores.shape[2]):
+                    score = row[(x + radius) * products.padded + k]
+                    if score != NO_SCORE:
+                        scores[y, x, k] = score
 
 
 class Selection(NamedTuple):
     """How winners are chosen; see `MatchConfig`."""
 
+    disparities: int
     min_disparity: int
     disp12_max_diff: float
     uniqueness_ratio: float
@@ -254,20 +247,21 @@ class Selection(NamedTuple):
 
 
 @kernel
-def pick_winners(
-    scores: Array, tags: Array, keys: Array, right_keys: Array, here: int
-) -> tuple[int, float]:
-    """Return a pixel's best place and score, and enter its scores for the right pixels."""
-    candidates = right_keys[here : here + keys.size]
-    for k in range(keys.size):
-        keys[k] = np.int32((np.int32(scores[k] * SCORE_STEPS) << PLACE_BITS) | tags[k])
-    for k in range(keys.size):
-        candidates[k] = max(candidates[k], keys[k])
-    best = NO_KEY
-    for k in range(keys.size):
-        best = max(best, keys[k])
-    place = _place(best)
-    return place, scores[place]
+def _pick_columns(
+    scores: Array, tags: Array, right_keys: Array, last: int, start: int, stop: int, keys: Array
+) -> None:
+    """Find the best key of columns ``start`` to ``stop``; enter all for the right pixels."""
+    padded = tags.size
+    steps = splat(np.full(1, SCORE_STEPS, scores.dtype)[0])
+    for x in range(start, stop):
+        here = last - x
+        best = splat(NO_KEY)
+        for k in range(0, padded, LANES):
+            score = to_int32(load(scores, (x - start) * padded + k) * steps)
+            key = shift_left(score, PLACE_BITS) + load(tags, k)
+            best = larger(best, key)
+            store(right_keys, here + k, larger(key, load(right_keys, here + k)))
+        keys[x] = largest(best)
 
 
 @kernel
@@ -310,43 +304,39 @@ def select_strip(
     """Choose the best disparity of rows ``start`` to ``stop``; NaN = none."""
     width, size = pair.left.shape[1], pair.size
     radius, nothing, last = size // 2, pair.left.shape[0] - 1, width - 1
-    statistics = new_statistics(pair)
-    products = new_products(pair)
-    disparities = products.window.size
-    tags = (PLACES - 1 - np.arange(disparities)).astype(np.int32)
-    keys = np.empty(disparities, np.int32)
-    right_keys = np.empty(pair.right.shape[1], np.int32)
-    places = np.empty(width, np.int32)
-    scores = np.empty((TILE, disparities), pair.left.dtype)
+    statistics, products = new_statistics(pair), new_products(pair)
+    padded = products.padded
+    tags = (PLACES - 1 - np.arange(padded)).astype(np.int32)
+    right_keys = np.empty(pair.right.shape[1] + LANES, np.int32)
+    keys = np.empty(width, np.int32)
+    places = np.empty(width, np.int64)
+    scores = np.empty(TILE * padded, pair.left.dtype)
     top = max(start - radius, 0)
     for new in range(top, min(stop + radius, nothing)):
-        old = new - size if new - size >= top else nothing
-        enter_row(pair, statistics, new, old)
+        rows = (new, new - size if new - size >= top else nothing)
+        enter_row(pair, statistics, *rows)
         y = new - radius
         if y < start or new - top < size - 1:
-            add_products(pair, products, new, old, 0, width)
+            score_columns(pair, statistics, products, rows, 0, width, scores[:0])
             continue
         normalise_row(pair, statistics)
         products.window[:] = 0
         right_keys[:] = NO_KEY
-        places[:] = -1
         for tile in range(0, width, TILE):
             end = min(tile + TILE, width)
-            add_products(pair, products, new, old, tile, end)
-            score_windows(pair, statistics, products, tile, end, scores)
+            score_columns(pair, statistics, products, rows, tile, end, scores)
+            _cover(scores, statistics.left_norm[1], size, tile, end, selection, padded)
+            _pick_columns(scores, tags, right_keys, last, tile, end, keys)
             for x in range(max(tile, size - 1), end):
-                if statistics.left_norm[1, x - size + 1] == 0:
-                    continue
-                curve = scores[x - tile]
-                place, best = pick_winners(curve, tags, keys, right_keys, last - x)
-                if best == NO_SCORE:
-                    continue
+                curve = scores[(x - tile) * padded : (x - tile) * padded + selection.disparities]
+                places[x] = _place(keys[x])
+                best = curve[places[x]]
                 ratio = selection.uniqueness_ratio
-                if ratio > 0 and not _is_unique(curve, place, ratio):
+                if best == NO_SCORE or (ratio > 0 and not _is_unique(curve, places[x], ratio)):
+                    places[x] = -1
                     continue
-                offset, deviation = _refine(curve, place, size * size - 2.0)
-                places[x] = place
-                whole = selection.min_disparity + place
+                offset, deviation = _refine(curve, places[x], size * size - 2.0)
+                whole = selection.min_disparity + places[x]
                 disparity[y, x - radius] = whole + offset if selection.subpixel else whole
                 sigma[y, x - radius] = deviation
         if selection.disp12_max_diff >= 0:
@@ -355,3 +345,16 @@ def select_strip(
                     back = _place(right_keys[last - x + places[x]])
                     if abs(back - places[x]) > selection.disp12_max_diff:
                         disparity[y, x - radius] = np.nan
+
+
+@kernel
+def _cover(
+    scores: Array, norm: Array, size: int, start: int, stop: int, selection: Selection, padded: int
+) -> None:
+    """Set what is no score to `NO_SCORE`: pixels without texture, disparities not searched."""
+    for x in range(start, stop):
+        row = (x - start) * padded
+        if x < size - 1 or norm[x - size + 1] == 0:
+            scores[row : row + padded] = NO_SCORE
+        else:
+            scores[row + selection.disparities : row + padded] = NO_SCORE

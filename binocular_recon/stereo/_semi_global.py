@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
-from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.stereo._aggregation_kernels import (
     Decision,
@@ -18,7 +17,7 @@ from binocular_recon.stereo._aggregation_kernels import (
     decide_rows,
     new_sweep,
 )
-from binocular_recon.stereo._layout import lay_out
+from binocular_recon.stereo._layout import lay_out, padded_range
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -48,9 +47,9 @@ def select_disparities(
 
     """
     height, width = left.shape
-    padded = -(-config.disparity_range // LANES) * LANES
+    padded = padded_range(config)
     size = config.correlation_window_size
-    big, steps = lay_out(left, right, config, padded, size // 2)
+    big, steps = lay_out(left, right, config, size // 2)
     small = big._replace(size=max(size - 2, 3), least_energy=0.0)
     # a window of 3 has no smaller one inside
     noise = (NOISE * steps * small.size) ** 2 if size > small.size else np.inf
@@ -92,7 +91,7 @@ def _sweep(
     halves = [(0, middle), (middle, height)]
     sweeps = [new_sweep(width, volume.padded, True), new_sweep(width, volume.padded, False)]
     partial = [
-        np.empty((stop - start) * width * volume.padded, np.uint16) for start, stop in halves
+        np.empty((stop - start) * width * volume.padded, np.uint8) for start, stop in halves
     ]
 
     def to_the_middle(first: int, _stop: int) -> None:

@@ -105,11 +105,15 @@ def _select_local(
     left: FloatImage, right: FloatImage, config: MatchConfig
 ) -> tuple[FloatImage, FloatImage]:
     """Choose each pixel's best score by itself; return disparity and sigma, NaN = none."""
-    pair, _ = lay_out(left, right, config, config.disparity_range, 0)
+    pair, _ = lay_out(left, right, config, 0)
     disparity = np.full(left.shape, np.nan, np.float32)
     sigma = np.full(left.shape, np.nan, np.float32)
     selection = Selection(
-        config.min_disparity, config.disp12_max_diff, config.uniqueness_ratio, config.subpixel
+        config.disparity_range,
+        config.min_disparity,
+        config.disp12_max_diff,
+        config.uniqueness_ratio,
+        config.subpixel,
     )
     over_strips(
         lambda start, stop: select_strip(pair, selection, disparity, sigma, start, stop),
@@ -142,7 +146,7 @@ def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> Floa
 
     """
     left, right = check_pair(left, right, config)
-    pair, _ = lay_out(left, right, config, config.disparity_range, 0)
+    pair, _ = lay_out(left, right, config, 0)
     scores = np.full((*left.shape, config.disparity_range), np.nan, np.float32)
     over_strips(lambda start, stop: score_strip(pair, scores, start, stop), len(left), strip=48)
     return scores

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._aggregation_kernels import Volume, cost_strip
-from binocular_recon.stereo._layout import lay_out
+from binocular_recon.stereo._layout import lay_out, padded_range
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel
@@ -33,8 +32,8 @@ def pair(height: int, width: int, seed: int = 0) -> tuple[FloatImage, FloatImage
 def volume(left: FloatImage, right: FloatImage, config: MatchConfig) -> Volume:
     """Return the costs as the matcher computes them."""
     size = config.correlation_window_size
-    padded = -(-config.disparity_range // LANES) * LANES
-    big, steps = lay_out(left, right, config, padded, size // 2)
+    padded = padded_range(config)
+    big, steps = lay_out(left, right, config, size // 2)
     small = big._replace(size=max(size - 2, 3), least_energy=0.0)
     noise = (_semi_global.NOISE * steps * small.size) ** 2 if size > small.size else np.inf
     shape = left.shape
