@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -54,6 +55,28 @@ class Filtered:
     sigma_px: FloatImage
     iterations: int
     error_estimate_px: float
+
+
+class Equations(NamedTuple):
+    """The normal equations (C + lambda L_g) f = C b of eq. 13.
+
+    Attributes
+    ----------
+    data : (H, W) float32
+        b, without gaps.
+    weight : (H, W) float32
+        c, the diagonal of C.
+    link_x : (H, W - 1) float32
+        lambda a_x between horizontal neighbours.
+    link_y : (H - 1, W) float32
+        lambda a_y between vertical neighbours.
+
+    """
+
+    data: FloatImage
+    weight: FloatImage
+    link_x: FloatImage
+    link_y: FloatImage
 
 
 def filter_disparity(
@@ -107,16 +130,35 @@ def filter_disparity(
     """
     _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
     measured = _measured(disparity_px, confidence, limits_px)
-    data, weight = _data_term(measured, confidence, config)
-    system = System(weight, *_links(data, guide, config))
+    equations = normal_equations(measured, confidence, guide, config)
+    system = System(equations.weight, equations.link_x, equations.link_y)
     if initial is not None and not np.isfinite(initial).all():
         initial = None
-    solution = system.solve(data, config.wls_tolerance_px, initial)
+    solution = system.solve(equations.data, config.wls_tolerance_px, initial)
     sigma = _sigma(measured, confidence, solution.values)
     low, high = limits_px
     margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
     filtered = np.clip(solution.values, low + margin, high - margin).astype(np.float32)
     return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+
+
+def normal_equations(
+    measured_px: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
+) -> Equations:
+    """Return the equations that the filter solves.
+
+    Parameters
+    ----------
+    measured_px : (H, W) float32
+        Raw disparity; NaN = none.
+    confidence, guide : (H, W) float32
+        As for `filter_disparity`.
+    config : FilterConfig
+        Weights.
+
+    """
+    data, weight = _data_term(measured_px, confidence, config)
+    return Equations(data, weight, *_links(data, guide, config))
 
 
 def _measured(
