@@ -279,5 +279,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_complete': False,
         'wls_disparity_steps': 0.0,
     },
+    # no volume, each pixel by itself: for high frame rates
+    'fast': {'semi_global': False, 'correlation_window_size': 9},
     'default': {},
 }

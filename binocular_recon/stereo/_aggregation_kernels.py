@@ -276,14 +276,13 @@ def _aggregate_row(
 
 
 class Decision(NamedTuple):
-    """How winners are chosen (see `MatchConfig`) and where they go, (H, W) each."""
+    """How winners are chosen (see `MatchConfig`) and where they go, (H, W)."""
 
     min_disparity: int
     disp12_max_diff: float
     uniqueness_ratio: float
     subpixel: bool
     disparity: Array
-    sigma: Array
 
 
 @kernel

@@ -281,25 +281,20 @@ def _is_unique(scores: Array, place: int, ratio: float) -> bool:
 
 
 @kernel
-def _refine(scores: Array, place: int, freedom: float) -> tuple[float, float]:
-    """Return the peak's offset from ``place`` and its standard deviation, px."""
-    best = scores[place]
+def _offset(scores: Array, place: int) -> Any:
+    """Return the maximum's offset from ``place``, px, on the parabola through three scores."""
     if place == 0 or place == scores.size - 1:
-        return 0.0, 1.0
-    before, after = scores[place - 1], scores[place + 1]
-    if before == NO_SCORE or after == NO_SCORE:
-        return 0.0, 1.0
+        return 0.0
+    before, best, after = scores[place - 1], scores[place], scores[place + 1]
     curvature = 2 * best - before - after
-    if curvature <= 0:
-        return 0.0, 1.0
-    offset = 0.5 * (after - before) / curvature
-    noise = max(1 - best * best, np.float32(1e-6)) * max(best, np.float32(0.1)) / freedom
-    return offset, np.sqrt(noise / curvature)
+    if before == NO_SCORE or after == NO_SCORE or curvature <= 0:
+        return 0.0
+    return 0.5 * (after - before) / curvature
 
 
 @kernel
 def select_strip(
-    pair: Pair, selection: Selection, disparity: Array, sigma: Array, start: int, stop: int
+    pair: Pair, selection: Selection, disparity: Array, start: int, stop: int
 ) -> None:
     """Choose the best disparity of rows ``start`` to ``stop``; NaN = none."""
     width, size = pair.left.shape[1], pair.size
@@ -335,10 +330,8 @@ def select_strip(
                 if best == NO_SCORE or (ratio > 0 and not _is_unique(curve, places[x], ratio)):
                     places[x] = -1
                     continue
-                offset, deviation = _refine(curve, places[x], size * size - 2.0)
-                whole = selection.min_disparity + places[x]
-                disparity[y, x - radius] = whole + offset if selection.subpixel else whole
-                sigma[y, x - radius] = deviation
+                offset = _offset(curve, places[x]) if selection.subpixel else 0.0
+                disparity[y, x - radius] = selection.min_disparity + places[x] + offset
         if selection.disp12_max_diff >= 0:
             for x in range(size - 1, width):
                 if places[x] >= 0:

@@ -29,15 +29,13 @@ GENTLE_STEP = 16.0
 LEAST_P2 = 1 / 3
 
 
-def select_disparities(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
+def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
     """Match a checked pair.
 
     Returns
     -------
-    disparity, sigma : (H, W) float32
-        px; NaN = none.
+    disparity_px : (H, W) float32
+        NaN = none.
 
     Notes
     -----
@@ -68,11 +66,10 @@ def select_disparities(
         config.uniqueness_ratio,
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
-        np.full((height, width), np.nan, np.float32),
     )
     levels = np.nan_to_num(left).clip(0, 255).astype(np.uint8)
     _sweep(volume, levels, _penalties(config), decision)
-    return decision.disparity, decision.sigma
+    return decision.disparity
 
 
 def _penalties(config: MatchConfig) -> Penalties:

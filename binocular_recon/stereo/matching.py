@@ -91,23 +91,19 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     """
     left, right = check_pair(left, right, config)
     choose = _semi_global.select_disparities if config.semi_global else _select_local
-    disparity, sigma = choose(left, right, config)
+    disparity = choose(left, right, config)
     _drop_speckles(disparity, config)
-    if config.semi_global and config.subpixel:
-        disparity, sigma = smooth(disparity)
-    if config.subpixel:
-        disparity = np.rint(disparity / SUBPIXEL_STEP_PX) * np.float32(SUBPIXEL_STEP_PX)
-    sigma[np.isnan(disparity)] = np.nan
+    if not config.subpixel:
+        return Match(disparity, np.isfinite(disparity).astype(np.float32))
+    disparity, sigma = smooth(disparity)
+    disparity = np.rint(disparity / SUBPIXEL_STEP_PX) * np.float32(SUBPIXEL_STEP_PX)
     return Match(disparity, confidence_from_sigma(sigma))
 
 
-def _select_local(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
-    """Choose each pixel's best score by itself; return disparity and sigma, NaN = none."""
+def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
+    """Choose each pixel's best score by itself; NaN = none."""
     pair, _ = lay_out(left, right, config, 0)
     disparity = np.full(left.shape, np.nan, np.float32)
-    sigma = np.full(left.shape, np.nan, np.float32)
     selection = Selection(
         config.disparity_range,
         config.min_disparity,
@@ -116,11 +112,11 @@ def _select_local(
         config.subpixel,
     )
     over_strips(
-        lambda start, stop: select_strip(pair, selection, disparity, sigma, start, stop),
+        lambda start, stop: select_strip(pair, selection, disparity, start, stop),
         len(left),
         strip=48,
     )
-    return disparity, sigma
+    return disparity
 
 
 def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:

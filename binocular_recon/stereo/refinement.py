@@ -36,7 +36,7 @@ def smooth(disparity_px: FloatImage) -> tuple[FloatImage, FloatImage]:
     smooth_px : (H, W) float32
         NaN where ``disparity_px`` is.
     sigma_px : (H, W) float32
-        Its standard deviation, from what the planes leave.
+        Its standard deviation, from what the planes leave; NaN = none.
 
     Notes
     -----
@@ -57,4 +57,5 @@ def smooth(disparity_px: FloatImage) -> tuple[FloatImage, FloatImage]:
         height,
     )
     variance = COMMON_SIGMA_PX**2 + RESIDUAL_FACTOR**2 * residual[:, :width]
+    variance[none] = np.nan
     return plane[:, :width].copy(), np.sqrt(variance)

@@ -230,6 +230,53 @@ def test_speckles_are_removed() -> None:
     np.testing.assert_array_equal(disparity, expected)
 
 
+def test_sigma_is_honest_and_no_constant() -> None:
+    left, right = shifted_pair(120, 200, 7.3)
+    rng = np.random.default_rng(5)
+    noise = np.linspace(0.5, 25, 120)[:, None] * rng.normal(size=left.shape)
+    found = match(left + noise.clip(-100, 100), right, config(speckle_size=0))
+    error = found.disparity_px - 7.3
+    inside = np.isfinite(error) & (np.abs(error) < 1)
+    inside[:, :30] = False
+    sigma = sigma_from_confidence(found.confidence)
+    calm, loud = (inside & (np.arange(120)[:, None] // 60 == half) for half in (0, 1))
+    for part in (calm, loud):
+        assert 0.3 < np.sqrt(np.mean((error[part] / sigma[part]) ** 2)) < 1.6
+    assert sigma[loud].mean() > 1.2 * sigma[calm].mean()
+
+
+def test_whole_pixels_have_unit_confidence() -> None:
+    left, right = shifted_pair(40, 60, 4.0)
+    found = match(left, right, ChainConfig.preset('paper', disparity_range=16).match)
+    measured = np.isfinite(found.disparity_px)
+    np.testing.assert_array_equal(found.confidence, measured.astype(np.float32))
+
+
+def test_crops_do_not_change_the_local_match() -> None:
+    left, right = shifted_pair(90, 120, 5.4)
+    options = config(semi_global=False, correlation_window_size=7, speckle_size=0, subpixel=False)
+    whole = match(left, right, options).disparity_px
+    part = match(left[13:71, 17:97], right[13:71, 17:97], options).disparity_px
+    # a window's radius from each border, and the whole search range from both sides
+    np.testing.assert_array_equal(part[3:-3, 19:-19], whole[16:68, 36:78])
+    scores = ncc_scores(left, right, options)[16:68, 36:78]
+    np.testing.assert_array_equal(
+        ncc_scores(left[13:71, 17:97], right[13:71, 17:97], options)[3:-3, 19:-19], scores
+    )
+
+
+@pytest.mark.parametrize('preset', ['fast', 'default'])
+def test_16_bits_are_kept(preset: str) -> None:
+    left, right = shifted_pair(60, 100, 6.0)
+    options = ChainConfig.preset(
+        preset, disparity_range=16, correlation_window_size=5, texture_threshold=0.0
+    ).match
+    scale = np.float32(1 / 400)  # a tenth of a grey level of texture
+    found = match(left * scale + 100, right * scale + 100, options).disparity_px
+    inside = found[10:-10, 30:-10]
+    assert np.mean(np.abs(inside - 6) < 0.25) > 0.95
+
+
 def test_step_is_one_pixel_without_subpixel() -> None:
     assert matching.disparity_step_px(config()) == matching.SUBPIXEL_STEP_PX
     assert matching.disparity_step_px(config(subpixel=False)) == 1.0

@@ -94,6 +94,6 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
     )
     expected = naive_sgm.choose(total, first, tolerance)
     expected[~costs.scored] = np.nan
-    disparity, _ = _semi_global.select_disparities(left, right, config)
+    disparity = _semi_global.select_disparities(left, right, config)
     np.testing.assert_array_equal(disparity, expected)
     assert 0.3 < np.isfinite(expected).mean() < 1
