@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from binocular_recon.calibration.rods import load_rods, save_rods
+from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import FileError
+from binocular_recon.evaluation.detection import score_capture, summarise_scores
 from binocular_recon.io.files import complete_file, make_folder, write_json
 from binocular_recon.simulation.capture import (
     CaptureOptions,
@@ -40,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     rods.add_argument(
         '--backgrounds', type=Path, help='folder of photographs to stand behind half of the boards'
+    )
+    rods.add_argument(
+        '--evaluate',
+        action='store_true',
+        help='write no pictures: detect the rods and compare with the truth (detection.json)',
     )
     rods.add_argument(
         '--clean',
@@ -95,18 +102,38 @@ def _rods(args: argparse.Namespace) -> None:
     photographs = load_photographs(args.backgrounds) if args.backgrounds else ()
     rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
     make_folder(args.output)
+
+    def captures() -> Iterator[SimulatedCapture]:
+        for index in range(args.boards):
+            # a board depends on its own seed only, not on how many were asked for
+            rng = np.random.default_rng([args.seed, index])
+            options = CaptureOptions() if args.clean else mixed_options(rng, photographs)
+            yield simulate_capture(board, rig, rng, options)
+            print(f'board {index + 1} of {args.boards}', flush=True)
+
+    if args.evaluate:
+        _evaluate(board, captures(), args.output)
+        return
     boards: list[dict[str, Any]] = []
-    for index in range(args.boards):
-        # a board depends on its own seed only, not on how many were asked for
-        rng = np.random.default_rng([args.seed, index])
-        options = CaptureOptions() if args.clean else mixed_options(rng, photographs=photographs)
-        capture = simulate_capture(board, rig, rng, options)
+    for index, capture in enumerate(captures()):
         write_image(args.output / f'left_{index:04d}.png', capture.left)
         write_image(args.output / f'right_{index:04d}.png', capture.right)
         boards.append({'name': f'{index:04d}', **_truth(capture)})
-        print(f'board {index + 1} of {args.boards}', flush=True)
     save_rods(board, args.output / 'rods.yaml')
     write_json(args.output / 'truth.json', {'rig': rig.to_mapping(), 'boards': boards})
+
+
+def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Path) -> None:
+    """Detect the rods of every capture, print and write the figures."""
+    figures = summarise_scores([score_capture(board, capture) for capture in captures])
+    write_json(output / 'detection.json', figures)
+    rms, seconds = figures['rms_px'], figures['seconds_per_picture']
+    print(
+        f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark that both'
+        f' pictures show; {figures["wrong_identities"]} wrong identities; error'
+        f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
+        f' marks); {seconds["median"]:.2f} s per picture'
+    )
 
 
 def _truth(capture: SimulatedCapture) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from binocular_recon.simulation.rig import RawRig, View
 # Board frame (x right, y up, z to the viewer) seen by a camera in front of it.
 FACING_CAMERA = np.diag([1.0, -1.0, -1.0])
 # Poses drawn before a board is taken not to fit.
-TRIES = 20_000
+TRIES = 3000
 
 
 @dataclass(frozen=True, eq=False)
