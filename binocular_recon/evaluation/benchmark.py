@@ -23,6 +23,9 @@ STAGES: dict[str, Callable[[Bench], stages.Contestants]] = {
     'chain': stages.chain,
 }
 
+# Rounds of one stage at one size end after this time, so that a full run takes minutes.
+_STAGE_LIMIT_S = 8.0
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -85,7 +88,7 @@ def benchmark(
     presets : sequence of str
         Our presets.
     repeat : int
-        Timed rounds of each stage.
+        Timed rounds of each stage; fewer where they take long.
     progress : function
         Called with the number of finished steps (of `step_count`) and what is measured next.
 
@@ -125,7 +128,7 @@ def time_stage(
     stage: str, bench: Bench, contestants: stages.Contestants, repeat: int
 ) -> list[Timing]:
     """Time the contestants of one stage by turns."""
-    seconds = interleaved(contestants, repeat)
+    seconds = interleaved(contestants, repeat, limit_s=_STAGE_LIMIT_S)
     reference = next(iter(seconds.values()))
     return [
         Timing(stage, str(bench.size), name, value, value / reference)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -17,9 +18,15 @@ import scipy
 from binocular_recon import __version__
 from binocular_recon._jit import thread_count
 
+# Rounds that are timed however long they take.
+LEAST_ROUNDS = 3
+
 
 def interleaved(
-    contestants: Mapping[str, Callable[[], object]], repeat: int, warm_up: int = 1
+    contestants: Mapping[str, Callable[[], object]],
+    repeat: int,
+    warm_up: int = 1,
+    limit_s: float = math.inf,
 ) -> dict[str, float]:
     """Return the median duration of each contestant, seconds.
 
@@ -31,10 +38,15 @@ def interleaved(
         Number of timed rounds.
     warm_up : int
         Number of rounds before them that are not timed.
+    limit_s : float
+        After this time no round is begun if there were `LEAST_ROUNDS`.
 
     """
+    begin = time.perf_counter()
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
     for turn in range(warm_up + repeat):
+        if turn >= warm_up + LEAST_ROUNDS and time.perf_counter() - begin > limit_s:
+            break
         for name, function in contestants.items():
             start = time.perf_counter()
             function()

@@ -52,7 +52,9 @@ def test_every_stage_has_its_peers_first(bench: Bench) -> None:
 
 def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     medians = {'peer': 0.2, 'ours': 0.1}
-    monkeypatch.setattr('binocular_recon.evaluation.benchmark.interleaved', lambda *_args: medians)
+    monkeypatch.setattr(
+        'binocular_recon.evaluation.benchmark.interleaved', lambda *_args, **_options: medians
+    )
     assert time_stage('match', bench, {}, 1) == [
         Timing('match', '128x96x16', 'peer', 0.2, 1.0),
         Timing('match', '128x96x16', 'ours', 0.1, 0.5),

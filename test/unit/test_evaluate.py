@@ -364,11 +364,17 @@ def test_error_map_by_hand() -> None:
 
 def test_interleaved_takes_turns_and_returns_medians(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[str] = []
-    clock = iter([0.0, 1.0, 1.0, 3.0, 10.0, 15.0, 20.0, 21.0, 30.0, 32.0, 40.0, 43.0])
+    clock = iter([0.0, 0.0, 1.0, 1.0, 3.0, 10.0, 15.0, 20.0, 21.0, 30.0, 32.0, 40.0, 43.0])
     monkeypatch.setattr('time.perf_counter', lambda: next(clock))
     contestants = {'a': lambda: turns.append('a'), 'b': lambda: turns.append('b')}
     assert interleaved(contestants, repeat=3, warm_up=0) == {'a': 2.0, 'b': 2.0}
     assert turns == ['a', 'b'] * 3
+
+
+def test_interleaved_stops_when_time_is_up() -> None:
+    turns: list[str] = []
+    interleaved({'a': lambda: turns.append('a')}, repeat=50, warm_up=1, limit_s=0.0)
+    assert len(turns) == 4  # the warm-up and the least number of rounds
 
 
 def test_tables_are_markdown() -> None:
