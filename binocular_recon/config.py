@@ -119,7 +119,7 @@ class MatchConfig(Options):
         maximum=192,
     )
     texture_threshold: float = option(
-        1.0,
+        0.5,
         'Least standard deviation of a window, in grey levels of 255',
         unit='grey levels',
         minimum=0.0,

@@ -23,8 +23,8 @@ def is_whole(image: Array) -> bool:
         others = 0
         for x in range(image.shape[1]):
             level = image[y, x]
-            whole = level == np.float32(np.uint8(np.int32(level)))
-            others += not whole and level == level  # NaN is none
+            whole = level == np.floor(level) and 0 <= level <= 255
+            others += not (whole or np.isnan(level))
         if others:
             return False
     return True

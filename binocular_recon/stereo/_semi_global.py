@@ -21,7 +21,9 @@ from binocular_recon.stereo._layout import lay_out, padded_range
 
 FloatImage = npt.NDArray[np.float32]
 
-# Standard deviation of the pictures' noise, grey levels: texture below it tells little.
+# Grey levels below are those of a left picture of this standard deviation, whatever the exposure.
+CONTRAST = 50.0
+# Standard deviation of the pictures' noise: texture below it tells little.
 NOISE = 2.0
 # P2 falls with the step of grey level that a change of disparity goes with: P2 up to
 # `GENTLE_STEP`, then as 1 / step, down to `LEAST_P2` of it.
@@ -50,7 +52,8 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
     big, steps = lay_out(left, right, config, size // 2)
     small = big._replace(size=max(size - 2, 3), least_energy=0.0)
     # a window of 3 has no smaller one inside
-    noise = (NOISE * steps * small.size) ** 2 if size > small.size else np.inf
+    gain = _exposure_gain(left)
+    noise = (NOISE / gain * steps * small.size) ** 2 if size > small.size else np.inf
     volume = Volume(
         np.empty(height * width * padded, np.uint8),
         np.zeros((height, width), np.bool_),
@@ -67,9 +70,16 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
     )
-    levels = np.nan_to_num(left).clip(0, 255).astype(np.uint8)
+    levels = np.nan_to_num(left * gain).clip(0, 255).astype(np.uint8)
     _sweep(volume, levels, _penalties(config), decision)
     return decision.disparity
+
+
+def _exposure_gain(left: FloatImage) -> float:
+    """Return the factor that brings a picture to `CONTRAST`."""
+    known = left[np.isfinite(left)]
+    deviation = float(known.std()) if known.size else 0.0
+    return CONTRAST / deviation if deviation > 0 else 1.0
 
 
 def _penalties(config: MatchConfig) -> Penalties:

@@ -35,7 +35,8 @@ def volume(left: FloatImage, right: FloatImage, config: MatchConfig) -> Volume:
     padded = padded_range(config)
     big, steps = lay_out(left, right, config, size // 2)
     small = big._replace(size=max(size - 2, 3), least_energy=0.0)
-    noise = (_semi_global.NOISE * steps * small.size) ** 2 if size > small.size else np.inf
+    noise_level = _semi_global.NOISE / _semi_global._exposure_gain(left)
+    noise = (noise_level * steps * small.size) ** 2 if size > small.size else np.inf
     shape = left.shape
     result = Volume(
         np.zeros(shape[0] * shape[1] * padded, np.uint8),
@@ -68,7 +69,8 @@ def test_costs_equal_the_naive_twin(size: int, first: int, count: int, fine: boo
         disparity_range=count,
         texture_threshold=0.0,
     )
-    expected, scored = naive_sgm.costs(left, right, size, first, count, _semi_global.NOISE)
+    noise = _semi_global.NOISE / _semi_global._exposure_gain(left)
+    expected, scored = naive_sgm.costs(left, right, size, first, count, noise)
     found = volume(left, right, config)
     np.testing.assert_array_equal(found.scored, scored)
     assert np.abs(unpadded(found) - expected).max() < 0.6  # 0.5 of it rounding
@@ -87,7 +89,8 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
         subpixel=False,
     )
     costs = volume(left, right, config)
-    levels = np.nan_to_num(left).astype(np.int64)
+    gain = _semi_global._exposure_gain(left)
+    levels = np.nan_to_num(left * gain).clip(0, 255).astype(np.int64)
     penalties = _semi_global._penalties(config)
     total = naive_sgm.aggregate(
         unpadded(costs) >> 2, levels, penalties.P1, penalties.P2.astype(np.int64)
