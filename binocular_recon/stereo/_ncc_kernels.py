@@ -50,8 +50,8 @@ class Pair(NamedTuple):
 class Statistics(NamedTuple):
     """Sums over windows of each picture, row by row.
 
-    ``left_sums``, ``right_sums`` (3, size + N): values, squares and pixels without data, summed
-    over the window's rows; the first ``size`` columns are 0. ``left_norm`` (2, N), ``right_norm``
+    ``left_sums``, ``right_sums`` (3, N + size + LANES): values, squares and pixels without data,
+    summed over the window's rows. ``left_norm`` (2, N), ``right_norm``
     (4, N), per window by its first column: sum, 1 / norm (0 = no score); mean's integer part,
     mean's rest, 1 / norm, `NO_SCORE` or 0.
     """
@@ -77,12 +77,13 @@ class Products(NamedTuple):
 @kernel
 def new_statistics(pair: Pair) -> Statistics:
     """Return the sums before the first row."""
-    width, padded, size = pair.left.shape[1], pair.right.shape[1], pair.size
+    width, places = pair.left.shape[1], pair.right.shape[1]
+    margin = pair.size + LANES
     return Statistics(
-        np.zeros((3, size + width)),
-        np.zeros((3, size + padded)),
+        np.zeros((3, width + margin), pair.left.dtype),
+        np.zeros((3, places + margin), pair.left.dtype),
         np.zeros((2, width), pair.left.dtype),
-        np.zeros((4, padded), pair.left.dtype),
+        np.zeros((4, places), pair.left.dtype),
     )
 
 
@@ -96,24 +97,22 @@ def new_products(pair: Pair) -> Products:
 
 
 @kernel
-def _slide(sums: Array, size: int, new: Array, old: Array, new_bad: Array, old_bad: Array) -> None:
+def _slide(sums: Array, new: Array, old: Array, new_bad: Array, old_bad: Array) -> None:
     """Move column sums down by a row."""
-    values, squares, bad = sums[0, size:], sums[1, size:], sums[2, size:]
+    values, squares, bad = sums[0], sums[1], sums[2]
     for i in range(new.size):
         values[i] += new[i] - old[i]
     for i in range(new.size):
-        squares[i] += np.float64(new[i]) * new[i] - np.float64(old[i]) * old[i]
+        squares[i] += new[i] * new[i] - old[i] * old[i]
     for i in range(new.size):
-        bad[i] += np.float64(new_bad[i]) - old_bad[i]
+        bad[i] += np.float32(new_bad[i]) - np.float32(old_bad[i])
 
 
 @kernel
 def enter_row(pair: Pair, statistics: Statistics, new: int, old: int) -> None:
     """Move the windows down: row ``new`` enters, row ``old`` leaves."""
-    size = pair.size
     _slide(
         statistics.left_sums,
-        size,
         pair.left[new],
         pair.left[old],
         pair.left_bad[new],
@@ -121,7 +120,6 @@ def enter_row(pair: Pair, statistics: Statistics, new: int, old: int) -> None:
     )
     _slide(
         statistics.right_sums,
-        size,
         pair.right[new],
         pair.right[old],
         pair.right_bad[new],
@@ -133,21 +131,24 @@ def enter_row(pair: Pair, statistics: Statistics, new: int, old: int) -> None:
 def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: Array) -> None:
     """Give the sum and 1 / norm of the window that starts at each column; 0 = no score."""
     count = size * size
-    windows = sums.shape[1] - 2 * size + 1
-    values, squares, bad = np.zeros(windows), np.zeros(windows), np.zeros(windows)
-    for j in range(size):
-        for i in range(windows):
-            values[i] += sums[0, size + i + j]
-        for i in range(windows):
-            squares[i] += sums[1, size + i + j]
-        for i in range(windows):
-            bad[i] += sums[2, size + i + j]
+    values, squares, bad = sums[0], sums[1], sums[2]
+    windows = total.size - size + 1
+    sum_of = np.empty((3, total.size + LANES), sums.dtype)
+    value, square, without = sum_of[0], sum_of[1], sum_of[2]
+    for i in range(0, windows, LANES):
+        a, b, c = load(values, i), load(squares, i), load(bad, i)
+        for j in range(1, size):
+            a, b = a + load(values, i + j), b + load(squares, i + j)
+            c = c + load(bad, i + j)
+        store(value, i, a)
+        store(square, i, b)
+        store(without, i, c)
     for i in range(windows):
-        total[i] = values[i]
+        total[i] = value[i]
     for i in range(windows):
         # count times the energy is a difference of integers: exact, 0 where the window is flat
-        energy = count * squares[i] - values[i] * values[i]
-        scored = bad[i] == 0 and energy > 0 and energy >= least * count
+        energy = np.float64(count) * square[i] - np.float64(value[i]) * np.float64(value[i])
+        scored = without[i] == 0 and energy > 0 and energy >= least * count
         inverse[i] = size / np.sqrt(energy) if scored else 0.0
 
 
@@ -158,12 +159,13 @@ def normalise_row(pair: Pair, statistics: Statistics) -> None:
     left, right = statistics.left_norm, statistics.right_norm
     _window_energy(statistics.left_sums, size, pair.least_energy, left[0], left[1])
     _window_energy(statistics.right_sums, size, pair.least_energy, right[0], right[2])
-    for i in range(right.shape[1]):
-        total = right[0, i]
-        whole = np.rint(total / count)
-        right[0, i] = whole
-        right[1, i] = (total - whole * count) / count
-        right[3, i] = 0 if right[2, i] > 0 else NO_SCORE
+    total, rest, norm, bias = right[0], right[1], right[2], right[3]
+    for i in range(total.size):
+        whole = np.floor(total[i] / count + 0.5)
+        rest[i] = (total[i] - whole * count) / count
+        total[i] = whole
+    for i in range(total.size):
+        bias[i] = 0 if norm[i] > 0 else NO_SCORE
 
 
 @kernel
