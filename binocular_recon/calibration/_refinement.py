@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.calibration._board_layout import plane_marks
 from binocular_recon.calibration._border_fit import BorderFit, fit_border
 from binocular_recon.calibration._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.rods import RodBoard
@@ -58,7 +59,10 @@ def refine(
         Where the plane of the whole board puts the marks; None = not known.
 
     """
-    rods = _fit_sides(image, board, marks_px, predicted_px)
+    # rough marks tell the scale of a rod but not how it changes along it
+    scale = [np.mean(_px_per_m(board, rod)) for rod in predicted_px]
+    widths = board.rod_diameter_m * np.repeat(np.array(scale)[:, None], board.marks_per_rod, 1)
+    rods = _fit_sides(image, marks_px, predicted_px, widths)
     first = _fit_borders(image, board, rods, marks_px, None, None)
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
@@ -67,7 +71,10 @@ def refine(
     blur = float(np.median([fit.blur_px for fit in fits]))
     curve = _curve_model(fits)
     again = np.stack([_positions(row) for row in first])
-    rods = _fit_sides(image, board, again, predicted_px)
+    exact = plane_marks(board, again)
+    if exact is not None:
+        widths = board.rod_diameter_m * np.stack([_px_per_m(board, rod) for rod in exact])
+    rods = _fit_sides(image, again, predicted_px, widths)
     second = _fit_borders(image, board, rods, again, blur, curve)
     _reject_odd_looking(second)
     marks = np.stack([_positions(row) for row in second])
@@ -82,7 +89,7 @@ def _positions(row: list[BorderFit | None]) -> FloatArray:
 
 
 def _fit_sides(
-    image: FloatImage, board: RodBoard, marks_px: FloatArray, predicted_px: FloatArray
+    image: FloatImage, marks_px: FloatArray, predicted_px: FloatArray, width_px: FloatArray
 ) -> list[RodFit | None]:
     """Fit every rod between its marks; a single mark borrows its neighbours' predicted places."""
     lines: list[FloatArray | None] = []
@@ -95,9 +102,9 @@ def _fit_sides(
             near[:-1] |= seen[1:]
         visible = np.where(near[:, None], everywhere[rod], np.nan)
         known = seen.any() and np.isfinite(everywhere[rod]).all()
+        known = known and np.isfinite(width_px[rod]).all()
         lines.append(visible if known else None)
-    widths = [board.rod_diameter_m * _px_per_m(board, rod) for rod in predicted_px]
-    return fit_rods(image, lines, everywhere[..., 1], np.array(widths))
+    return fit_rods(image, lines, everywhere[..., 1], width_px)
 
 
 def _fit_borders(
@@ -153,6 +160,8 @@ def _best_border(
 
 def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
     """Return the scale of the picture along a rod at its marks, from their places (M, 2)."""
+    if not np.isfinite(rod).all():
+        return np.full(len(rod), np.nan)
     chord = rod[-1] - rod[0]
     along = (rod - rod[0]) @ chord / np.linalg.norm(chord)
     degree = min(2, len(along) - 1)

@@ -22,8 +22,9 @@ C0, C1, C2, R0, R1, S1, S2, SIGMA = range(8)
 ROD_PARAMETERS = 8
 # The corner between shade and light is rounded: a step of a fit must not jump over it.
 ROUND = 0.1
-# Strips of one brightness into which a rod's width is cut, equal in angle around the rod.
-STRIPS = 8
+# Strips of one brightness into which a rod's width is cut, equal in angle around the rod: so many
+# at least, and so many to a pixel of its half width.
+FEWEST_STRIPS, STRIPS_PER_PX = 8, 1.5
 # Background on either side of a rod that a row's fit uses, px.
 BESIDE_PX = 3.0
 
@@ -47,18 +48,19 @@ def shading(v: float, s1: float, s2: float) -> float:
 
 @kernel
 def _cut_strips(rod: FloatArray, strips: FloatArray) -> None:
-    """Write border, brightness and its derivatives by S1, S2 of each strip: (STRIPS + 1, 4).
+    """Write border, brightness and its derivatives by S1, S2 of each strip: (n + 1, 4).
 
     The last row holds the last border only.
     """
-    for k in range(STRIPS + 1):
-        strips[k, 0] = math.sin((k / STRIPS - 0.5) * math.pi)
-        v = math.sin(((k + 0.5) / STRIPS - 0.5) * math.pi)
+    count = strips.shape[0] - 1
+    for k in range(count + 1):
+        strips[k, 0] = math.sin((k / count - 0.5) * math.pi)
+        v = math.sin(((k + 0.5) / count - 0.5) * math.pi)
         strips[k, 1] = shading(v, rod[S1], rod[S2])
         sun = rod[S1] * v + rod[S2] * math.sqrt(1 - v * v)
         lit = 0.5 * (1 + sun / math.sqrt(sun * sun + ROUND * ROUND))
         strips[k, 2], strips[k, 3] = lit * v, lit * math.sqrt(1 - v * v)
-    strips[STRIPS, 1:] = 0.0
+    strips[count, 1:] = 0.0
 
 
 @kernel
@@ -80,7 +82,7 @@ def _row_model(
     for i in range(n):
         u = offset + i
         rod = by_x = by_half = by_s1 = by_s2 = by_blur = 0.0
-        for k in range(STRIPS + 1):
+        for k in range(strips.shape[0]):
             a = (u - half * strips[k, 0]) / sigma
             if a < -4.5:
                 break
@@ -146,7 +148,7 @@ def accumulate_rows(
 
     """
     p = ROD_PARAMETERS
-    strips = np.empty((STRIPS + 1, 4))
+    strips = np.empty((max(FEWEST_STRIPS, int(STRIPS_PER_PX * rod[R0])) + 1, 4))
     _cut_strips(rod, strips)
     for r in range(rows.shape[0]):
         y, z, weight = int(rows[r, 0]), rows[r, 1], rows[r, 2]

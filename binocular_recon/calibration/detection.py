@@ -26,7 +26,7 @@ from binocular_recon.errors import ImageError
 
 FloatImage = npt.NDArray[np.float32]
 
-# Grey levels between the darkest and the lightest hundredth of a picture after stretching.
+# Grey levels between the darkest and the lightest part of a picture after stretching.
 FULL_RANGE = 255.0
 # Least step of a border, in levels of the stretched picture and in standard deviations of noise.
 LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
@@ -39,6 +39,7 @@ CLEAR_MARGIN = 1.5
 MOST_IDENTITIES = 3
 # Marks nearer to the frame than this may be missed, px.
 FRAME_MARGIN_PX = 4.0
+NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
 AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
@@ -110,16 +111,18 @@ def _detect(grey: FloatImage, board: RodBoard, leans: tuple[float, ...]) -> Dete
     size = grey.shape[1], grey.shape[0]
     rough, width = identify(find_tracks(stretched, board, threshold, leans), board, size)
     if not np.isfinite(rough).any():
-        return Detection(rough, rough[..., 0], ('no rod found',))
+        return Detection(rough, rough[..., 0], (NOTHING,))
+    nothing = np.full_like(rough, np.nan)
     for _ in range(MOST_IDENTITIES):
         refined = _measure(stretched, board, rough, width)
+        if not _convincing(board, refined.marks_px):
+            return Detection(nothing, nothing[..., 0], (NOTHING,))
         identity = _identity(stretched, board, refined.marks_px, width)
         if identity is refined.marks_px:
             return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
         if identity is None:
             break
         rough = identity
-    nothing = np.full_like(rough, np.nan)
     return Detection(nothing, nothing[..., 0], (AMBIGUOUS,))
 
 
@@ -139,6 +142,13 @@ def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: fl
     return refined
 
 
+def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
+    """Return whether enough marks stand in line for a board: three on each of two rods."""
+    per_rod = np.isfinite(marks_px[..., 0]).sum(1)
+    complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
+    return bool(complete_rods >= min(2, board.count))
+
+
 def _identity(
     image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float
 ) -> FloatArray | None:
@@ -147,11 +157,6 @@ def _identity(
     Every other identity that the spacings allow is tried: more marks must then be somewhere else,
     and they are there or not.
     """
-    rods_found = np.isfinite(marks_px[..., 0]).any(1).sum()
-    if rods_found == 0:
-        return marks_px
-    if rods_found == 1 < board.count:
-        return None
     scores = [_support(image, board, marks_px, width_px)]
     ways = [marks_px]
     count = np.isfinite(marks_px[..., 0]).sum()
@@ -161,6 +166,8 @@ def _identity(
         dropped = count - np.isfinite(other[..., 0]).sum()
         scores.append(_support(image, board, other, width_px) - 0.5 * dropped)
     order = np.argsort(-np.array(scores), kind='stable')
+    if scores[order[0]] <= 0:
+        return None
     if len(ways) > 1 and scores[order[0]] - scores[order[1]] < CLEAR_MARGIN:
         return None
     best: FloatArray = ways[order[0]]
@@ -207,8 +214,9 @@ def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
 
 def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
     """Stretch a picture to the full range; return it and the least step of a border."""
-    sample = grey[::4, ::4]
-    low, high = np.percentile(sample, (1, 99))
+    # rods may fill no more than a thousandth of a picture; the mean of pixels hides a bad one
+    sample = cv2.resize(grey, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
+    low, high = np.percentile(sample, (0.01, 99.99))
     gain = FULL_RANGE / max(float(high - low), 1e-3)
     # black stays black: light on a round rod multiplies
     stretched = grey * np.float32(gain)

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rod detection on ray-cast pictures: what is found, how exactly, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from binocular_recon.calibration.detection import detect_rods
+from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.errors import ImageError
+from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.simulation.capture import CaptureOptions, mixed_options, simulate_capture
+from binocular_recon.simulation.render import RodPaint, Sensor, draw_rods, expose
+from binocular_recon.simulation.rig import survey_rig
+from binocular_recon.simulation.rods import PlacedBoard, paper_board, place_board
+
+PHOTOGRAPHS = Path(__file__).parents[2] / '..' / 'shared' / 'data' / 'poles'
+RIG = survey_rig()
+LEFT = RIG.views()[0]
+
+
+def board_of(rods: list[float], marks: list[float], diameter: float = 0.04) -> RodBoard:
+    return RodBoard.from_mapping(
+        {
+            'rods': [{'x': x} for x in rods],
+            'marks': marks,
+            'rod_diameter': diameter,
+            'placement_sigma': 0.003,
+        }
+    )
+
+
+def picture(
+    board: RodBoard,
+    translation: tuple[float, float, float],
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: float = 110.0,
+    **paint: Any,
+) -> tuple[np.ndarray[Any, Any], PlacedBoard]:
+    """Return a picture of a board before a plain wall, and the board."""
+    rng = np.random.default_rng(5)
+    placed = place_board(board, np.array(rotation), np.array(translation), rng)
+    canvas = np.full((1200, 1920, 3), background, np.float32)
+    length = board.marks_m[-1] + 0.2
+    draw_rods(canvas, LEFT, placed, RodPaint(length_m=length, **paint))
+    return expose(canvas, Sensor(), rng), placed
+
+
+def errors(image: np.ndarray[Any, Any], placed: PlacedBoard) -> np.ndarray[Any, Any]:
+    detection = detect_rods(image, placed.board)
+    error: np.ndarray[Any, Any] = detection.marks_px - placed.borders_px(LEFT)
+    return error
+
+
+def test_plain_board_is_measured_to_hundredths() -> None:
+    image, placed = picture(paper_board(), (0.2, 1.2, 8.0), (0.05, 0.4, 0.1))
+    error = errors(image, placed)
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.04
+    detection = detect_rods(image, placed.board)
+    assert detection.found.all() and detection.messages == ()
+    assert 0.002 < np.median(detection.sigma_px) < 0.05
+
+
+@pytest.mark.parametrize('sun', [(0.95, -0.3, 0.0), (-0.95, -0.3, 0.0), (0.1, -0.2, -0.97)])
+def test_light_from_the_side_does_not_shift_the_middle(sun: tuple[float, float, float]) -> None:
+    """A fit of plain edges is off by 0.2 px here."""
+    image, placed = picture(paper_board(), (0.2, 1.2, 13.0), sun_xyz=sun, ambient=0.5)
+    assert abs(np.nanmean(errors(image, placed)[..., 0])) < 0.04
+
+
+def test_clutter_occlusion_frame_and_tilt() -> None:
+    """The figures of a large run, on few boards; the command's --evaluate option runs more."""
+    photographs = tuple(
+        photograph
+        for name in ('c1_pole1', 'c3_pole2')
+        if (photograph := cv2.imread(str(PHOTOGRAPHS / f'{name}.jpg'))) is not None
+    )
+    board = paper_board()
+    scores = []
+    for seed in range(4):
+        rng = np.random.default_rng([11, seed])
+        options = mixed_options(rng, photographs)
+        scores.append(score_capture(board, simulate_capture(board, RIG, rng, options)))
+    figures = summarise_scores(scores)
+    assert figures['wrong_identities'] == 0
+    assert figures['boards_complete'] >= 3
+    assert figures['rms_px']['x'] < 0.12
+    assert figures['rms_px']['y'] < 0.12
+
+
+@pytest.mark.parametrize(
+    ('rods', 'marks', 'diameter', 'depth'),
+    [
+        ([0.0], [0.3, 0.6, 0.9, 1.2, 1.5, 1.8], 0.04, 7.0),
+        ([0.0, 0.7], [0.4, 0.8, 1.2], 0.05, 7.0),
+        ([0.0, 0.5, 1.4], [0.2, 0.5, 0.7, 1.1, 1.8], 0.05, 6.0),
+        ([0.25 * i for i in range(20)], [0.3 + 0.15 * i for i in range(10)], 0.03, 11.0),
+        ([0.0, 1.0], [0.3, 0.6, 0.9, 1.2], 0.1, 4.2),
+    ],
+)
+def test_any_number_of_rods_and_any_spacing(
+    rods: list[float], marks: list[float], diameter: float, depth: float
+) -> None:
+    image, placed = picture(board_of(rods, marks, diameter), (0.0, 1.1, depth), (0.05, 0.3, 0.05))
+    error = errors(image, placed)
+    assert np.isfinite(error).all()
+    assert np.abs(error).max() < 0.25
+
+
+@pytest.mark.parametrize('roll_deg', [-20.0, -12.0, 12.0, 20.0])
+def test_rods_leaning_up_to_20_degrees(roll_deg: float) -> None:
+    image, placed = picture(
+        paper_board(), (0.0, 1.0, 8.0), (0.0, 0.2, float(np.deg2rad(roll_deg)))
+    )
+    error = errors(image, placed)
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2)) < 0.06
+
+
+def test_red_and_white_8_and_16_bits_grey_and_dark() -> None:
+    image, placed = picture(paper_board(), (0.0, 1.2, 9.0), dark_bgr=(40.0, 35.0, 190.0))
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    for other in (image, grey, grey[..., None], grey.astype(np.uint16) * 40, grey // 3):
+        error = errors(other, placed)
+        assert np.isfinite(error).all()
+        assert np.sqrt(np.mean(error**2)) < 0.08
+
+
+def test_bands_that_differ_in_colour_only() -> None:
+    """Red and grey of one luminance: seen in the smallest channel."""
+    red, grey = (20.0, 20.0, 222.0), (80.0, 80.0, 80.0)
+    image, placed = picture(
+        paper_board(), (0.0, 1.2, 9.0), background=180.0, dark_bgr=red, light_bgr=grey
+    )
+    assert np.isfinite(errors(image, placed)).all()
+
+
+def test_hidden_marks_are_not_invented() -> None:
+    """A plate with edges right on the spacing hides two marks of a rod; the rest is found."""
+    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
+    truth = placed.borders_px(LEFT)
+    x0, y0 = (truth[2, 3] - (25, 8)).astype(int)
+    x1, y1 = (truth[2, 2] + (25, 12)).astype(int)
+    image[y0:y1, x0:x1] = 35
+    detection = detect_rods(image, placed.board)
+    hidden = np.zeros((5, 6), np.bool_)
+    hidden[2, 2:4] = True
+    np.testing.assert_array_equal(detection.found, ~hidden)
+    assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
+    assert detection.messages == ('28 of 30 marks',)
+
+
+def test_missing_rod_is_named() -> None:
+    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
+    x = placed.borders_px(LEFT)[2, :, 0].mean()
+    image[:, int(x) - 15 : int(x) + 16] = 110
+    detection = detect_rods(image, placed.board)
+    assert detection.messages == ('rod 3 of 5 not found', '24 of 30 marks')
+    assert np.nanmax(np.abs(detection.marks_px - placed.borders_px(LEFT))) < 0.3
+
+
+def test_rods_cut_by_the_frame_keep_their_identity() -> None:
+    """Two of five rods are out of the picture to the left."""
+    image, placed = picture(paper_board(), (-4.3, 1.2, 8.0))
+    truth = placed.borders_px(LEFT)
+    detection = detect_rods(image, placed.board)
+    seen = (truth[..., 0] > 3) & (truth[..., 0] < 1916)
+    assert 6 <= seen.sum() <= 24
+    np.testing.assert_array_equal(detection.found, seen)
+    assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
+
+
+def test_what_cannot_be_told_is_refused() -> None:
+    """An end rod is hidden and there is room for one at either end: two readings."""
+    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
+    x = placed.borders_px(LEFT)[0, :, 0].mean()
+    image[:, int(x) - 15 : int(x) + 16] = 110
+    detection = detect_rods(image, placed.board)
+    assert not detection.found.any()
+    assert 'too little of the board is in view' in detection.messages[0]
+
+
+def test_no_rods_no_marks() -> None:
+    rng = np.random.default_rng(0)
+    for image in (
+        np.zeros((300, 400), np.uint8),
+        np.full((300, 400, 3), 255, np.uint8),
+        rng.integers(0, 255, (600, 800), np.uint8),
+    ):
+        detection = detect_rods(image, paper_board())
+        assert not detection.found.any()
+        assert detection.messages
+
+
+def test_wrong_rods_file_gives_no_wrong_marks() -> None:
+    """Seven rods of eight marks are sought where five of six stand."""
+    image, _ = picture(paper_board(), (0.0, 1.2, 8.0))
+    other = board_of([0.35 * i for i in range(7)], [0.3 + 0.17 * i for i in range(8)])
+    assert detect_rods(image, other).found.sum() < 12
+
+
+def test_clutter_alone_has_no_board() -> None:
+    """Decoys: ladders, barriers and banded posts with other spacings."""
+    board = paper_board()
+    options = CaptureOptions(kinds=('barriers',))
+    capture = simulate_capture(board, RIG, np.random.default_rng(2), options)
+    # paint the rods over, rows above and below stay
+    image = capture.left.copy()
+    x0, y0 = np.nanmin(capture.left_px, (0, 1)).astype(int) - 60
+    x1, y1 = np.nanmax(capture.left_px, (0, 1)).astype(int) + 60
+    image[max(0, y0) : y1, max(0, x0) : x1] = 128
+    assert not detect_rods(image, board).found.any()
+
+
+@pytest.mark.parametrize(
+    ('image', 'message'),
+    [
+        (np.zeros((20, 20), np.float32), r'uint8 or uint16, got \(20, 20\) float32'),
+        (np.zeros((20,), np.uint8), r'uint8 or uint16, got \(20,\)'),
+        (np.zeros((20, 20, 4), np.uint8), 'must have 3 channels, got 4'),
+    ],
+)
+def test_other_pictures_are_refused(image: np.ndarray[Any, Any], message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        detect_rods(image, paper_board())
