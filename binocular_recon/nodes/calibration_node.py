@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from binocular_recon.calibration.detection import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.rods import Capture, load_rods
+from binocular_recon.calibration.rods import Capture, RodBoard, load_rods
 from binocular_recon.calibration.screening import complaint, displacement_px
 from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.target import Target
@@ -120,7 +120,7 @@ class CalibrationNode(StereoNode):
             side: self.create_client(SetCameraInfo, f'{side}/set_camera_info')
             for side in ('left', 'right')
         }
-        self.prepare(self._compile_kernels)
+        self.prepare(functools.partial(compile_kernels, self._board))
         # each call in a thread of its own: none waits for another, nor pictures for any
         group = ReentrantCallbackGroup()
         for name in self.SERVICES:
@@ -332,17 +332,6 @@ class CalibrationNode(StereoNode):
         answer: Any = future.result()
         return f'{service} {"took it" if answer.success else "refused"} {answer.status_message}'
 
-    def _compile_kernels(self) -> None:
-        """Find the rods in a drawing of them."""
-        scale = 500 / np.max(self._board.marks_m)
-        columns = 60 + 40 * np.arange(self._board.count)
-        image = np.full((600, columns[-1] + 60), 128, np.uint8)
-        edges = 550 - np.r_[0, self._board.marks_m * scale, 530].astype(int)
-        for column in columns:
-            for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
-                image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
-        detect_rods(image, self._board)
-
 
 class _Alone:
     """Hold a lock, or refuse where another service does."""
@@ -360,6 +349,18 @@ class _Alone:
 
 class BusyError(BinocularReconError):
     """A service is at work on the same thing."""
+
+
+def compile_kernels(board: RodBoard) -> None:
+    """Find the rods in a drawing of them."""
+    scale = 500 / np.max(board.marks_m)
+    columns = 60 + 40 * np.arange(board.count)
+    image = np.full((600, columns[-1] + 60), 128, np.uint8)
+    edges = 550 - np.r_[0, board.marks_m * scale, 530].astype(int)
+    for column in columns:
+        for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
+            image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
+    detect_rods(image, board)
 
 
 def summary(result: CalibrationResult) -> str:

@@ -37,7 +37,7 @@ class MatchNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.prepare(_compile_kernels)
+        self.prepare(compile_kernels)
         self.start()
 
     def process(
@@ -87,7 +87,8 @@ class MatchNode(StereoNode):
         self.health.warning(f'{side} image {text}')
 
 
-def _compile_kernels() -> None:
+def compile_kernels() -> None:
+    """Run every kernel once."""
     noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
     for preset in PRESETS:
         match(noise, noise, ChainConfig.preset(preset, disparity_range=16).match)

@@ -52,7 +52,7 @@ class WlsFilterNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.prepare(_compile_kernels)
+        self.prepare(compile_kernels)
         self.start()
 
     def process(
@@ -137,7 +137,8 @@ def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
     return read_image(message, 'confidence').image
 
 
-def _compile_kernels() -> None:
+def compile_kernels() -> None:
+    """Run every kernel once."""
     generator = np.random.default_rng(0)
     grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
     disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)

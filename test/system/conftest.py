@@ -19,6 +19,17 @@ class StartNode(Protocol):
     def __call__(self, executable: str, **parameters: object) -> Any: ...
 
 
+@pytest.fixture(scope='session', autouse=True)
+def _compiled_kernels() -> None:
+    """Compile before the nodes start: cold, that takes longer than tests wait for a node."""
+    from binocular_recon.nodes import calibration_node, match_node, wls_filter_node
+    from binocular_recon.simulation.rods import paper_board
+
+    match_node.compile_kernels()
+    wls_filter_node.compile_kernels()
+    calibration_node.compile_kernels(paper_board())
+
+
 @pytest.fixture(scope='module')
 def graph() -> Iterator[Any]:
     """Join the graph with a node of the test's own."""
