@@ -283,7 +283,7 @@ class CalibrationNode(StereoNode):
 
     def _missing(self, found: tuple[Detection, Detection]) -> str:
         words = [
-            f'{message} in the {side} image'
+            f'{side} image: {message}'
             for side, detection in zip(('left', 'right'), found, strict=True)
             for message in detection.messages
         ]

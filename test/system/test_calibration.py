@@ -90,7 +90,7 @@ def test_a_crew_calibrates(graph: Graph, start_node: StartNode, tmp_path: Path) 
 
     answer = field.capture(empty, empty)
     assert not answer.success
-    assert 'no rod found in the left image' in answer.message
+    assert 'left image: no board found' in answer.message
 
     first = captured(0)
     with graph.listening(('/rig/detections', Image)) as (drawn,):
@@ -158,7 +158,7 @@ def test_rods_that_move_are_not_captured(
     field = Field(graph)
     graph.wait_for_status(NODE, '')
     graph.wait_for_subscriber('/rig/left/image_raw', '/rig/right/image_raw')
-    shown = captured(20)
+    shown = captured(0)
     moved = [np.roll(image, 5, axis=1) for image in (shown.left, shown.right)]
     client = graph.do(partial(graph.node.create_client, Trigger, f'{NODE}/capture'))
     assert client.wait_for_service(10)

@@ -63,7 +63,7 @@ def test_pictures_to_a_calibrated_rig(
     assert 'left_5.png is no picture' in reasons['5']
     assert reasons['6'] == 'there is no right picture'
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
-    assert 'no rod found' in reasons['8']
+    assert 'no board found' in reasons['8']
     assert all(f'left out: {name}: ' in text for name in reasons)
     rig = read_rig(output)
     assert rig.left.size == (960, 600)
