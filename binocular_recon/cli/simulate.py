@@ -14,7 +14,9 @@ import numpy as np
 from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.io.bag_writer import BagWriter, write_pair
 from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.io.pfm import write_pfm
 from binocular_recon.simulation.capture import (
     CaptureOptions,
     SimulatedCapture,
@@ -22,9 +24,18 @@ from binocular_recon.simulation.capture import (
     simulate_capture,
 )
 from binocular_recon.simulation.clutter import ColorImage
+from binocular_recon.simulation.render import Sensor
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
 from binocular_recon.simulation.rods import paper_board, with_placement
+from binocular_recon.simulation.scene import (
+    build_scene,
+    render_scene,
+    scene_truth,
+    true_disparity,
+)
 
+# Time between two frames of a bag.
+FRAME_NS = 100_000_000
 PHOTOGRAPH_SUFFIXES = {'.jpg', '.jpeg', '.png', '.tif', '.tiff', '.bmp'}
 
 
@@ -53,11 +64,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='nothing hidden, cut by the frame or tilted over 10 deg',
     )
+    scene = kinds.add_parser('scene', help='two people and a bicycle at 10-20 m, as a bag')
+    _add_common(scene)
+    scene.add_argument(
+        '--frames', type=int, default=1, help='picture pairs in the bag (default %(default)s)'
+    )
 
 
 def run(args: argparse.Namespace) -> None:
     """Write what was asked for."""
-    {'rods': _rods}[args.kind](args)
+    {'rods': _rods, 'scene': _scene}[args.kind](args)
 
 
 def load_photographs(folder: Path) -> tuple[ColorImage, ...]:
@@ -134,6 +150,24 @@ def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Pat
         f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
         f' marks); {seconds["median"]:.2f} s per picture'
     )
+
+
+def _scene(args: argparse.Namespace) -> None:
+    """Write the bag, the pair as pictures, and the truth of the left picture."""
+    rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
+    rectified = rig.stereo_rig()
+    rng = np.random.default_rng(args.seed)
+    scene = build_scene(rng)
+    make_folder(args.output)
+    with BagWriter(args.output / 'bag') as writer:
+        for frame in range(args.frames):
+            left, right = (render_scene(scene, view, Sensor(), rng) for view in rig.views())
+            write_pair(writer, rectified, (left, right), frame * FRAME_NS)
+            print(f'frame {frame + 1} of {args.frames}', flush=True)
+    write_image(args.output / 'left.png', left)
+    write_image(args.output / 'right.png', right)
+    write_pfm(args.output / 'disparity.pfm', true_disparity(scene, rectified))
+    write_json(args.output / 'truth.json', scene_truth(scene, rig))
 
 
 def _truth(capture: SimulatedCapture) -> dict[str, Any]:

@@ -48,8 +48,8 @@ class RawRig:
     def stereo_rig(self) -> StereoRig:
         """Return the rig with the R and P that rectify it (cv2.stereoRectify, alpha 0)."""
         R_left, R_right, P_left, P_right = cv2.stereoRectify(
-            self.left.K, self.left.D, self.right.K, self.right.D, self.left.size, self.R, self.T,
-            alpha=0.0,
+            self.left.K, self.left.D, self.right.K, self.right.D, self.left.size, self.R,
+            self.T.reshape(3, 1), alpha=0.0,
         )[:4]  # fmt: skip
         return StereoRig(
             Camera(*self.left.size, self.left.K, self.left.D, R_left, P_left),
