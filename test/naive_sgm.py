@@ -91,11 +91,13 @@ def choose(total: npt.NDArray[np.int64], first: int, max_difference: float) -> A
     for y in range(height):
         for x in range(width):
             there = x - first - best[y, x]
-            candidates = [
-                (total[y, there + first + k, k], k)
+            candidates = {
+                k: total[y, there + first + k, k]
                 for k in range(count)
                 if 0 <= there + first + k < width
-            ]
-            if 0 <= there < width and abs(min(candidates)[1] - best[y, x]) <= max_difference:
+            }
+            winners = [k for k, cost in candidates.items() if cost == min(candidates.values())]
+            difference = min(abs(k - best[y, x]) for k in winners)
+            if 0 <= there < width and difference <= max_difference:
                 result[y, x] = first + best[y, x]
     return result

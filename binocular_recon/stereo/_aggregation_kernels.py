@@ -47,7 +47,7 @@ WORST = np.int32(252)
 UNKNOWN = np.uint8(160)  # cost of what cannot be seen: that of a random match
 QUARTER = 2  # bits; with P2 up to 192, the sum along a path fits a byte
 SENTINEL = 255
-NO_KEY = np.int32(2**31 - 1)
+NO_SUM = 2**15  # above every sum
 PLACE_BITS = 12
 
 
@@ -332,30 +332,30 @@ def _decide_row(
 ) -> None:
     """Choose the best disparities of a row, of both pictures, and keep those that agree."""
     width, padded, disparities = volume.scored.shape[1], volume.padded, volume.disparities
-    tags = np.arange(padded).astype(np.int32)
-    tags[disparities:] += NO_KEY // 2
-    right_keys = np.full(width + padded, NO_KEY, np.int32)
-    places = np.empty(width, np.int64)
+    places = np.arange(padded).astype(np.uint16)
+    outside = np.where(places >= disparities, NO_SUM, 0).astype(np.uint16)
+    right_best = np.full(width + padded, NO_SUM, np.uint16)
+    chosen = np.empty(width, np.int64)
     for x in range(width):
         here = width - 1 - x
-        best = splat(NO_KEY)
+        best = splat(np.uint16(NO_SUM))
         for k in range(0, padded, LANES):
             other = shift_left(to_uint16(load(partial, at + x * padded + k)), 1)
-            both = load(total, x * padded + k) + other
+            both = add_saturated(load(total, x * padded + k) + other, load(outside, k))
             store(total, x * padded + k, both)
-            keys = shift_left(to_int32(both), PLACE_BITS) + load(tags, k)
-            best = smaller(best, keys)
-            store(right_keys, here + k, smaller(keys, load(right_keys, here + k)))
-        places[x] = smallest(best) & (2**PLACE_BITS - 1)
+            best = smaller(best, both)
+            store(right_best, here + k, smaller(both, load(right_best, here + k)))
+        lowest = splat(smallest(best))
+        first = splat(np.uint16(NO_SUM))
+        for k in range(0, padded, LANES):
+            # the place where the sum is the lowest, far beyond all places elsewhere
+            excess = smaller(load(total, x * padded + k) - lowest, splat(np.uint16(1)))
+            first = smaller(first, load(places, k) + shift_left(excess, PLACE_BITS))
+        chosen[x] = smallest(first)
     for x in range(width):
-        place = places[x]
-        if not volume.scored[y, x]:
+        place = chosen[x]
+        if not volume.scored[y, x] or not _agrees(total, right_best, decision, padded, x, place):
             continue
-        if decision.disp12_max_diff >= 0:
-            seen = x - decision.min_disparity - place
-            back = right_keys[width - 1 - x + place] & (2**PLACE_BITS - 1)
-            if seen < 0 or seen >= width or abs(back - place) > decision.disp12_max_diff:
-                continue
         curve = total[x * padded : x * padded + disparities]
         if decision.uniqueness_ratio > 0 and not _is_unique(curve, place, decision):
             continue
@@ -364,9 +364,27 @@ def _decide_row(
 
 
 @kernel
+def _agrees(
+    total: Array, right_best: Array, decision: Decision, padded: int, x: int, place: int
+) -> bool:
+    """Whether the right pixel's best sum belongs to the same disparity, or nearly."""
+    width = total.size // padded
+    tolerance = int(np.floor(decision.disp12_max_diff))
+    seen = x - decision.min_disparity - place
+    agrees = tolerance < 0
+    if not 0 <= seen < width:
+        return agrees
+    for j in range(-tolerance, tolerance + 1):
+        if 0 <= x + j < width and 0 <= place + j < padded:
+            # the same right pixel, paired with a neighbour of the left one
+            agrees |= total[(x + j) * padded + place + j] == right_best[width - 1 - x + place]
+    return agrees
+
+
+@kernel
 def _is_unique(curve: Array, place: int, decision: Decision) -> bool:
     """Whether the best sum is below all but its neighbours' by the ratio asked for."""
-    second = np.int64(NO_KEY)
+    second = np.int64(NO_SUM)
     for k in range(curve.size):
         if abs(k - place) > 1:
             second = min(second, np.int64(curve[k]))
