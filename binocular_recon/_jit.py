@@ -19,8 +19,27 @@ FASTMATH = {'contract', 'arcp', 'nsz', 'reassoc'}
 
 def kernel(function: F) -> F:
     """Compile ``function`` with the GIL released and the result cached on disk."""
+    return _compile(function, FASTMATH)
+
+
+def ordered_kernel(function: F) -> F:
+    """Compile like `kernel`, but keep the order in which sums and products are written."""
+    return _compile(function, FASTMATH - {'reassoc'})
+
+
+def inline_kernel(function: F) -> F:
+    """Compile like `kernel`, always into the kernels that call it: for small inner steps."""
+    return _compile(function, FASTMATH, forceinline=True)
+
+
+def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F:
     decorate = numba.njit(
-        nogil=True, cache=True, fastmath=FASTMATH, error_model='numpy', boundscheck=False
+        nogil=True,
+        cache=True,
+        fastmath=fastmath,
+        error_model='numpy',
+        boundscheck=False,
+        forceinline=forceinline,
     )
     return cast('F', decorate(function))
 

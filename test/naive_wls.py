@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious twin of the weighted least squares filter."""
+"""Slow, obvious twins of the weighted least squares filter."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
 Array = npt.NDArray[np.float64]
 
@@ -16,26 +18,47 @@ def log_luminance(guide: npt.ArrayLike) -> Array:
     return np.log(np.asarray(guide, float) / 255 + 1 / 255)
 
 
+def links(guide_log: Array, strength: float, alpha: float, epsilon: float) -> tuple[Array, Array]:
+    """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W)."""
+    height, width = guide_log.shape
+    link_x, link_y = np.zeros((height, width - 1)), np.zeros((height - 1, width))
+    for y in range(height):
+        for x in range(width):
+            if x + 1 < width:
+                step = abs(guide_log[y, x + 1] - guide_log[y, x])
+                link_x[y, x] = strength / (math.pow(step, alpha) + epsilon)
+            if y + 1 < height:
+                step = abs(guide_log[y + 1, x] - guide_log[y, x])
+                link_y[y, x] = strength / (math.pow(step, alpha) + epsilon)
+    return link_x, link_y
+
+
+def matrix(weight: npt.ArrayLike, link_x: npt.ArrayLike, link_y: npt.ArrayLike) -> sp.csc_matrix:
+    """Return C + lambda L_g."""
+    c, right, down = (np.asarray(a, float) for a in (weight, link_x, link_y))
+    pixels = np.arange(c.size).reshape(c.shape)
+    one = np.concatenate([pixels[:, :-1].ravel(), pixels[:-1].ravel()])
+    other = np.concatenate([pixels[:, 1:].ravel(), pixels[1:].ravel()])
+    link = np.concatenate([right.ravel(), down.ravel()])
+    rows = np.concatenate([one, other, one, other])
+    columns = np.concatenate([other, one, one, other])
+    values = np.concatenate([-link, -link, link, link])
+    laplacian = sp.coo_matrix((values, (rows, columns)), shape=(c.size, c.size))
+    return (sp.diags(c.ravel()) + laplacian).tocsc()
+
+
+def solution(
+    data: npt.ArrayLike, weight: npt.ArrayLike, link_x: npt.ArrayLike, link_y: npt.ArrayLike
+) -> Array:
+    """Solve (C + lambda L_g) f = C b directly."""
+    c, b = np.asarray(weight, float), np.asarray(data, float)
+    right_side = np.where(c > 0, c * b, 0).ravel()
+    exact = splu(matrix(weight, link_x, link_y)).solve(right_side)
+    return np.asarray(exact, np.float64).reshape(c.shape)
+
+
 def minimiser(
     data: Array, weight: Array, guide_log: Array, strength: float, alpha: float, epsilon: float
 ) -> Array:
-    """Minimise eq. 11 by solving its normal equations with a dense matrix."""
-    height, width = data.shape
-    system = np.zeros((data.size, data.size))
-    right_side = np.zeros(data.size)
-    for y in range(height):
-        for x in range(width):
-            here = y * width + x
-            if weight[y, x] > 0:
-                system[here, here] += weight[y, x]
-                right_side[here] += weight[y, x] * data[y, x]
-            for other_y, other_x in ((y, x + 1), (y + 1, x)):
-                if other_y < height and other_x < width:
-                    there = other_y * width + other_x
-                    step = abs(guide_log[y, x] - guide_log[other_y, other_x])
-                    link = strength / (math.pow(step, alpha) + epsilon)
-                    system[here, here] += link
-                    system[there, there] += link
-                    system[here, there] -= link
-                    system[there, here] -= link
-    return np.asarray(np.linalg.solve(system, right_side), np.float64).reshape(height, width)
+    """Minimise eq. 11."""
+    return solution(data, weight, *links(guide_log, strength, alpha, epsilon))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.stereo import _wls_kernels as lattice_kernels
@@ -23,10 +24,7 @@ from binocular_recon.stereo._wls_reduction_kernels import Picture
 from binocular_recon.stereo._wls_transfer_kernels import Transfer
 
 _NODES_PER_STRIP = 65536
-_MAX_ITERATIONS = 200
-# The largest error is at most about 1.7 times its estimate from the smallest Ritz value
-# (measured over natural, synthetic and random systems); half the error must never be exceeded.
-_SAFETY = 1.0
+_PATIENCE = 30  # iterations
 # A Ritz value this large is not believed before the Krylov space has this many dimensions.
 _FIRST_RITZ_VALUE, _FEW_ITERATIONS = 0.35, 3
 # Rounding of float32, relative to the largest value.
@@ -100,14 +98,11 @@ class _Level:
     def residual(self, right: Vector, x: Vector, out: Vector) -> None:
         self.over(lattice_kernels.residual, self.lattice, right, x, out)
 
-    def add_scaled(self, out: Vector, a: Vector, factor: float, b: Vector) -> None:
-        self.over(lattice_kernels.add_scaled, self.lattice, out, a, factor, b)
-
-    def dots(self, a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
-        """Return a.b, a.c and max|a|."""
-        sums = np.zeros((len(self.lattice.factors), 3))
-        self.over(lattice_kernels.dots, self.lattice, a, b, c, sums)
-        return float(sums[:, 0].sum()), float(sums[:, 1].sum()), float(sums[:, 2].max())
+    def sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
+        """Call a kernel that writes two numbers for each strip; return them, (strips, 2)."""
+        sums = np.zeros((len(self.lattice.factors), 2))
+        self.over(function, self.lattice, *args, sums)
+        return sums
 
 
 @dataclass(frozen=True)
@@ -160,13 +155,16 @@ class System:
 
     def _coarsen_all(self, rows: int, columns: int) -> list[_Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
-        links, excess, coarser = self._picture.links, self._picture.weight, []
+        links, excess = self._picture.links, self._picture.weight
+        coarser: list[_Coarser] = []
         while max(rows, columns) > 1:
             level = _Level((rows + 1) // 2, (columns + 1) // 2)
             lattice = level.lattice
             weights = np.zeros((6, lattice.excess.size), np.float32)
             weights[:2] = 1
-            transfer = Transfer(weights, rows, columns, columns + 2 * PAD, lattice.stride)
+            transfer = Transfer(
+                weights, rows, columns, columns + 2 * PAD, lattice.stride, diagonal=bool(coarser)
+            )
             level.over(transfers.weigh_between, links, transfer)
             level.over(transfers.weigh_amid, links, transfer)
             level.over(transfers.galerkin, links, transfer, lattice.links)
@@ -187,49 +185,21 @@ class System:
         tolerance : float
             Largest error allowed, in the data's unit.
         initial : (H, W) float32, optional
-            A first guess.
+            A first guess; without it, b.
 
         """
         black, picture = self._black, self._picture
-        right_side = np.zeros_like(picture.weight)
+        right_side, first = np.zeros_like(picture.weight), np.zeros_like(picture.weight)
         self._pixels(right_side)[:] = data
         right_side *= picture.weight
+        self._pixels(first)[:] = data if initial is None else initial
         right, x = black.vector(), black.vector()
         black.over(reduction.reduce_right_side, picture, right_side, right)
-        if initial is None:
-            self._guess(right_side, x)
-        else:
-            first = np.zeros_like(right_side)
-            self._pixels(first)[:] = initial
-            black.over(reduction.gather_black, picture, first, x)
-        iterations, error = self._iterate(right, x, tolerance)
-        values = np.zeros_like(right_side)
-        black.over(reduction.substitute, picture, right_side, x, values)
-        return Solution(self._pixels(values), iterations, error)
-
-    def _guess(self, right_side: Vector, x: Vector) -> None:
-        """Nested iteration: solve roughly on the coarsest grid, refine from grid to grid."""
-        rights = [right_side]
-        for coarser in self._coarser:
-            rights.append(coarser.level.vector())
-            coarser.level.over(transfers.restrict, rights[-2], coarser.transfer, rights[-1])
-        guess = None
-        for depth in range(len(self._coarser) - 1, -1, -1):
-            level = self._coarser[depth].level
-            correction, rest = level.vector(), rights[depth + 1]
-            if guess is None:
-                self._cycle(depth, rest, correction)
-                guess = correction
-                continue
-            finer, below = level.vector(), self._coarser[depth + 1]
-            below.level.over(transfers.prolong, guess, below.transfer, finer)
-            level.residual(rest, finer, level.work)
-            rest = level.work.copy()
-            self._cycle(depth, rest, correction)
-            guess = finer + correction
-        if guess is not None:
-            first = self._coarser[0]
-            first.level.over(reduction.prolong_black, guess, first.transfer, x)
+        black.over(reduction.gather_black, picture, first, x)
+        rounding = _ROUNDING * float(np.abs(data).max())
+        iterations, error = self._iterate(right, x, max(tolerance, rounding))
+        black.over(reduction.substitute, picture, right_side, x, first)
+        return Solution(self._pixels(first), iterations, error + rounding)
 
     def _cycle(self, depth: int, right: Vector, out: Vector) -> None:
         """Write roughly ``A^-1 right`` of a coarse level: one V-cycle."""
@@ -268,44 +238,44 @@ class System:
         """
         black = self._black
         residual, z, p, Ap = (black.vector() for _ in range(4))
-        zero = black.vector()
         black.residual(right, x, residual)
-        pAp = 1.0
-        steps: list[float] = []
+        lengths: list[float] = []
         shares: list[float] = []
-        for iteration in range(1, _MAX_ITERATIONS + 1):
+        errors: list[float] = []
+        pAp = 1.0
+        while _improves(errors):
             self._precondition(residual, z)
-            zAp, _, largest = black.dots(z, Ap, residual)
-            share = zAp / pAp if steps else 0.0
-            black.add_scaled(p, z, share, p)  # Ap below is minus A p
-            black.residual(zero, p, Ap)
-            pAp_minus, pr, _ = black.dots(p, Ap, residual)
-            pAp = -pAp_minus
-            if not pAp > 0:
-                return iteration, _ROUNDING * self._largest(x)
-            step = pr / pAp
-            black.add_scaled(x, x, step, p)
-            black.add_scaled(residual, residual, step, Ap)
-            steps.append(step)
-            shares.append(share)
-            error = _SAFETY * largest / _smallest_ritz_value(steps, shares)
-            rounding = _ROUNDING * self._largest(x)
-            if error <= max(tolerance, rounding):
+            sums = black.sums(lattice_kernels.measure, z, Ap)
+            share = -float(sums[:, 0].sum()) / pAp if lengths else 0.0
+            black.over(lattice_kernels.turn, black.lattice, z, share, p)
+            pAp, pr = black.sums(lattice_kernels.apply, p, residual, Ap).sum(axis=0).tolist()
+            if not (pAp > 0 and pr > 0):  # solved to the last digit
                 break
-        return iteration, error + rounding
+            lengths.append(pr / pAp)
+            shares.append(share)
+            black.over(lattice_kernels.step, black.lattice, lengths[-1], p, x)
+            # anew, not updated by A p: what rounding leaves in it must not stay
+            black.residual(right, x, residual)
+            errors.append(float(sums[:, 1].max()) / _smallest_ritz_value(lengths, shares))
+            if errors[-1] <= tolerance:
+                break
+        return len(lengths), errors[-1] if errors else 0.0
 
-    def _largest(self, x: Vector) -> float:
-        return self._black.dots(x, x, x)[2]
+
+def _improves(errors: list[float]) -> bool:
+    """Return whether the error still falls; at the limit of float32 it does not."""
+    before, lately = errors[:-_PATIENCE], errors[-_PATIENCE:]
+    return not before or min(lately) < 0.9 * min(before)
 
 
-def _smallest_ritz_value(steps: list[float], shares: list[float]) -> float:
+def _smallest_ritz_value(lengths: list[float], shares: list[float]) -> float:
     """Return the smallest eigenvalue of the Lanczos matrix of conjugate gradients."""
-    size = len(steps)
+    size = len(lengths)
     matrix = np.zeros((size, size))
     for i in range(size):
-        matrix[i, i] = 1 / steps[i]
+        matrix[i, i] = 1 / lengths[i]
         if i:
-            matrix[i, i] += shares[i] / steps[i - 1]
-            matrix[i, i - 1] = matrix[i - 1, i] = np.sqrt(max(shares[i], 0)) / steps[i - 1]
+            matrix[i, i] += shares[i] / lengths[i - 1]
+            matrix[i, i - 1] = matrix[i - 1, i] = np.sqrt(max(shares[i], 0)) / lengths[i - 1]
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     return min(smallest, _FIRST_RITZ_VALUE) if size < _FEW_ITERATIONS else smallest

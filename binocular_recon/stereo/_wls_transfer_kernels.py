@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.stereo._wls_kernels import PAD, Vector
 
 Real = np.floating[Any] | float
@@ -35,6 +35,8 @@ class Transfer(NamedTuple):
         The fine grid's.
     coarse_stride : int
         Floats per padded row of the coarse grid.
+    diagonal : bool
+        Whether the fine grid has diagonal links.
 
     """
 
@@ -43,9 +45,10 @@ class Transfer(NamedTuple):
     columns: int
     stride: int
     coarse_stride: int
+    diagonal: bool
 
 
-@kernel
+@inline_kernel
 def _share(one: float, other: float) -> np.float32:
     total = one + other
     return np.float32(one / total) if total > 0 else _ONE
@@ -97,7 +100,7 @@ def weigh_amid(links: Vector, transfer: Transfer, start: int, stop: int) -> None
             weights[5, c] = (se + south * (_ONE - bottom) + east * (_ONE - other)) * inverse
 
 
-@kernel
+@inline_kernel
 def _add_link(cell: Vector, link: Real, g0: Real, g1: Real, g2: Real, g3: Real) -> None:
     """Add the energy ``link * (g0 f0 + g1 f1 + g2 f2 + g3 f3)^2`` to a coarse cell's links."""
     cell[0] -= link * g0 * g1
@@ -108,7 +111,7 @@ def _add_link(cell: Vector, link: Real, g0: Real, g1: Real, g2: Real, g3: Real) 
     cell[5] -= link * g2 * g3
 
 
-@kernel
+@inline_kernel
 def _gather_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int) -> None:
     """Sum the fine links of a coarse cell, its right and lower border left out."""
     weights, stride = transfer.weights, transfer.stride
@@ -125,14 +128,15 @@ def _gather_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int
     _add_link(cell, right[amid], m0, m1 - e1, m2, m3 - e3)
     cell[0] += right[k] * n1 * n1 + right[k + 1] * n0 * n0
     cell[1] += down[k] * w2 * w2 + down[below] * w0 * w0
-    _add_link(cell, down_right[k], m0 - _ONE, m1, m2, m3)
-    _add_link(cell, down_left[k + 2], m0, m1 - _ONE, m2, m3)
-    _add_link(cell, down_left[amid], m0, m1, m2 - _ONE, m3)
-    _add_link(cell, down_right[amid], m0, m1, m2, m3 - _ONE)
-    _add_link(cell, down_left[k + 1], n0 - w0, n1, -w2, _ZERO)
-    _add_link(cell, down_right[k + 1], n0, n1 - e1, _ZERO, -e3)
-    _add_link(cell, down_right[below], w0, _ZERO, w2 - s2, -s3)
-    _add_link(cell, down_left[below + 2], _ZERO, e1, -s2, e3 - s3)
+    if transfer.diagonal:
+        _add_link(cell, down_right[k], m0 - _ONE, m1, m2, m3)
+        _add_link(cell, down_left[k + 2], m0, m1 - _ONE, m2, m3)
+        _add_link(cell, down_left[amid], m0, m1, m2 - _ONE, m3)
+        _add_link(cell, down_right[amid], m0, m1, m2, m3 - _ONE)
+        _add_link(cell, down_left[k + 1], n0 - w0, n1, -w2, _ZERO)
+        _add_link(cell, down_right[k + 1], n0, n1 - e1, _ZERO, -e3)
+        _add_link(cell, down_right[below], w0, _ZERO, w2 - s2, -s3)
+        _add_link(cell, down_left[below + 2], _ZERO, e1, -s2, e3 - s3)
 
 
 @kernel

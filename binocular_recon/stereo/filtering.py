@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.stereo._wls_solver import System
@@ -180,9 +181,9 @@ def _data_term(
     measured: FloatImage, confidence: FloatImage, config: FilterConfig
 ) -> tuple[FloatImage, FloatImage]:
     """Return b without gaps and c of eq. 13."""
-    valid = np.isfinite(measured)
     if not config.wls_use_confidence:
-        return _nearest_in_row(measured, valid), np.ones_like(measured)
+        return _nearest_in_row(measured), np.ones_like(measured)
+    valid = np.isfinite(measured)
     weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
     data, completed = complete(measured, weight)
     return data, completed if config.wls_complete else weight
@@ -190,27 +191,33 @@ def _data_term(
 
 def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
     """Return the standard deviation of every pixel."""
-    valid = np.isfinite(measured)
-    scatter = _local_mean(np.where(valid, np.square(measured - filtered), 0), valid)
-    level = np.where(valid, np.clip(confidence, 0, 1), np.float32(COMPLETED_CONFIDENCE))
-    variance = LEAST_SIGMA_PX**2 + sigma_from_confidence(level) ** 2 + scatter
-    holes = ~valid
-    if holes.any():
-        spread = -fill_from_background(-measured) - fill_from_background(measured)
-        distance = cv2.distanceTransform(holes.astype(np.uint8), cv2.DIST_L2, 3)
-        variance += np.square(HOLE_SPREAD_SHARE * spread)
-        variance += np.square(HOLE_DISTANCE_SHARE * distance)
-    sigma: FloatImage = np.sqrt(variance).astype(np.float32)
-    return sigma
+    shares, squares = np.empty_like(measured), np.empty_like(measured)
 
+    def compare(start: int, stop: int) -> None:
+        rows = slice(start, stop)
+        valid = np.isfinite(measured[rows])
+        shares[rows] = valid
+        squares[rows] = np.where(valid, np.square(measured[rows] - filtered[rows]), 0)
 
-def _local_mean(image: FloatImage, valid: npt.NDArray[np.bool_]) -> FloatImage:
-    """Return the mean of the valid pixels of a window; 0 where there is none."""
+    over_strips(compare, len(measured))
     window = (SCATTER_WINDOW_PX, SCATTER_WINDOW_PX)
-    total = cv2.blur(image.astype(np.float32), window)
-    share = cv2.blur(valid.astype(np.float32), window)
-    mean: FloatImage = np.maximum(total, 0) / np.maximum(share, np.float32(1e-3))
-    return mean
+    scatter, share = cv2.blur(squares, window), cv2.blur(shares, window)
+    near, far = fill_from_background(measured), fill_from_background(-measured)
+    distance = cv2.distanceTransform((shares == 0).astype(np.uint8), cv2.DIST_L2, 3)
+    sigma = np.empty_like(measured)
+
+    def add_up(start: int, stop: int) -> None:
+        rows = slice(start, stop)
+        level = np.where(shares[rows] > 0, confidence[rows], np.float32(COMPLETED_CONFIDENCE))
+        variance = np.square(sigma_from_confidence(np.minimum(level, 1)))
+        variance += np.maximum(scatter[rows], 0) / np.maximum(share[rows], np.float32(1e-3))
+        # both 0 at a match
+        variance += np.square(HOLE_SPREAD_SHARE * (near[rows] + far[rows]))
+        variance += np.square(HOLE_DISTANCE_SHARE * distance[rows])
+        sigma[rows] = np.sqrt(variance + np.float32(LEAST_SIGMA_PX**2))
+
+    over_strips(add_up, len(measured))
+    return sigma
 
 
 def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
@@ -224,56 +231,63 @@ def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
             )
 
 
-def _nearest_in_row(disparity_px: FloatImage, valid: npt.NDArray[np.bool_]) -> FloatImage:
+def _nearest_in_row(measured: FloatImage) -> FloatImage:
     """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
-    height, width = valid.shape
-    columns = np.where(valid, np.arange(width), -2 * width)
-    before = np.maximum.accumulate(columns, axis=1)
-    columns = np.where(valid, np.arange(width), 3 * width)
-    after = np.minimum.accumulate(columns[:, ::-1], axis=1)[:, ::-1]
-    here = np.arange(width)
-    source = np.where(here - before <= after - here, before, after).clip(0, width - 1)
-    filled = np.take_along_axis(disparity_px, source, axis=1)
-    rows = np.flatnonzero(valid.any(axis=1))
-    nearest = rows[np.abs(np.arange(height)[:, None] - rows[None, :]).argmin(axis=1)]
-    result: FloatImage = filled[nearest]
-    return result
+    here = np.arange(measured.shape[1])
+    filled = np.empty_like(measured)
+
+    def fill(start: int, stop: int) -> None:
+        rows = measured[start:stop]
+        valid = np.isfinite(rows)
+        before = np.maximum.accumulate(np.where(valid, here, -here.size), axis=1)
+        after = np.where(valid, here, 2 * here.size)
+        after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
+        source = np.where(here - before <= after - here, before, after)
+        filled[start:stop] = np.take_along_axis(rows, source.clip(0, here.size - 1), axis=1)
+
+    over_strips(fill, len(measured))
+    empty = np.isnan(filled[:, 0])
+    rows = np.flatnonzero(~empty)
+    filled[empty] = filled[rows[np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)]]
+    return filled
 
 
-def _unit_range(image: FloatImage) -> FloatImage:
-    """Scale to [0, 1]; a constant image is 0."""
-    low, high = image.min(), image.max()
-    result: FloatImage = (image - low) / max(high - low, np.finfo(np.float32).tiny)
-    return result
-
-
-def _log_luminance(luminance: FloatImage) -> FloatImage:
-    """Return l = ln(Y + 1/255), NaN where there is no picture."""
-    result: FloatImage = np.log(np.maximum(luminance, 0) + np.float32(1 / 255))
-    return result
+def _luminance(data: FloatImage, guide: FloatImage, config: FilterConfig) -> FloatImage:
+    """Return the guide's luminance Y in [0, 1], NaN where there is no picture."""
+    if config.wls_guide == 'left':
+        return np.asarray(guide, np.float32) / np.float32(255)
+    low, high = data.min(), data.max()
+    unit_range: FloatImage = (data - low) / max(high - low, np.finfo(np.float32).tiny)
+    return unit_range
 
 
 def _links(
     data: FloatImage, guide: FloatImage, config: FilterConfig
 ) -> tuple[FloatImage, FloatImage]:
     """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
-    luminance = guide / np.float32(255) if config.wls_guide == 'left' else _unit_range(data)
-    guide_log = _log_luminance(luminance)
+    luminance = _luminance(data, guide, config)
+    height, width = data.shape
+    link_x = np.empty((height, width - 1), np.float32)
+    link_y = np.empty((height - 1, width), np.float32)
 
-    def link(after: tuple[slice, ...], before: tuple[slice, ...]) -> FloatImage:
-        step = np.abs(guide_log[after] - guide_log[before])
+    def link(log_a: FloatImage, log_b: FloatImage, a: FloatImage, b: FloatImage) -> FloatImage:
+        step: FloatImage = np.abs(log_a - log_b)
         if step.size == 0:  # OpenCV refuses it
-            return np.zeros_like(step)
+            return step
         # no picture, no edge
         gradient: FloatImage = cv2.pow(cv2.patchNaNs(step, 0), config.wls_alpha)
         if config.wls_disparity_steps:
-            gradient += np.float32(config.wls_disparity_steps) * np.square(
-                data[after] - data[before]
-            )
-        smoothness: FloatImage = np.float32(config.wls_lambda) / (
-            gradient + np.float32(config.wls_epsilon)
-        )
+            gradient += np.float32(config.wls_disparity_steps) * np.square(a - b)
+        gradient += np.float32(config.wls_epsilon)
+        smoothness: FloatImage = np.float32(config.wls_lambda) / gradient
         return smoothness
 
-    all_of, first, last = slice(None), slice(1, None), slice(None, -1)
-    return link((all_of, first), (all_of, last)), link((first, all_of), (last, all_of))
+    def fill(start: int, stop: int) -> None:
+        rows = data[start : stop + 1]
+        log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
+        link_y[start:stop] = link(log[1:], log[:-1], rows[1:], rows[:-1])
+        log, rows = log[: stop - start], rows[: stop - start]
+        link_x[start:stop] = link(log[:, 1:], log[:, :-1], rows[:, 1:], rows[:, :-1])
+
+    over_strips(fill, height)
+    return link_x, link_y
