@@ -11,7 +11,7 @@ import numpy as np
 
 from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.scenes import Image
-from binocular_recon.io.images import to_bgr8, to_grey
+from binocular_recon.images import to_bgr8, to_grey
 
 # The DisparityWLSFilter's usual setting, that of OpenCV's own sample, and a weaker smoothing
 # that turned out better.

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from binocular_recon.evaluation.evaluate import SceneResult
 from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.summary import figure
+from binocular_recon.images import to_bgr8
 from binocular_recon.io.colormap import heat_map
-from binocular_recon.io.images import to_bgr8
 
 Picture = npt.NDArray[np.uint8]
 

@@ -20,7 +20,7 @@ from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.scenes import Image
 from binocular_recon.evaluation.synthetic import SyntheticPair, synthetic_pair
-from binocular_recon.io.images import to_grey
+from binocular_recon.images import to_grey
 from binocular_recon.stereo.filtering import filter_disparity
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.pipeline import Chain

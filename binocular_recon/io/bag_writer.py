@@ -22,8 +22,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
+from binocular_recon.images import Image
 from binocular_recon.io.bags import TopicQos, ros2_types
-from binocular_recon.io.images import Image
 from binocular_recon.io.messages import fill_camera_info, fill_image
 
 RELIABLE = TopicQos()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from binocular_recon.calibration.rods import Capture, RodBoard
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.images import Image
 from binocular_recon.io.captures import (
     BoardReading,
     CaptureSet,
@@ -18,7 +19,6 @@ from binocular_recon.io.captures import (
 )
 from binocular_recon.io.files import flush, make_folder
 from binocular_recon.io.image_files import write_image_file
-from binocular_recon.io.images import Image
 
 # Where boards go that were dropped: nobody has to put up rods twice because of a slip.
 DROPPED = 'dropped'

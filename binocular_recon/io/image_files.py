@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from binocular_recon.errors import FileError
+from binocular_recon.images import Image
 from binocular_recon.io.files import complete_file
-from binocular_recon.io.images import Image
 
 
 def read_image_file(path: Path) -> Image:

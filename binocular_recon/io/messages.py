@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
-from binocular_recon.io.images import Image
+from binocular_recon.images import Image
 
 
 class Picture(NamedTuple):

@@ -10,8 +10,8 @@ from typing import Any
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BagError, CalibrationError
+from binocular_recon.images import Image
 from binocular_recon.io.bags import Bag, Topic, decode
-from binocular_recon.io.images import Image
 from binocular_recon.io.messages import read_image, rig_from_messages, stamp_ns
 from binocular_recon.io.stereo_topics import StereoTopics
 

@@ -34,12 +34,12 @@ from binocular_recon.errors import (
     ConfigError,
     ImageError,
 )
+from binocular_recon.images import Image as Picture
+from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_files import finish_saving, save_calibration
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.capture_store import CaptureStore
 from binocular_recon.io.detection_image import draw_detections
-from binocular_recon.io.images import Image as Picture
-from binocular_recon.io.images import to_bgr8
 from binocular_recon.io.messages import fill_camera_info, fill_image, read_image, stamp_ns
 from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import CalibrationOptions, InputOptions

@@ -8,8 +8,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
+from binocular_recon.images import to_grey
 from binocular_recon.io.disparity_messages import fill_disparity
-from binocular_recon.io.images import to_grey
 from binocular_recon.io.messages import fill_image, read_image
 from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import PresetOptions

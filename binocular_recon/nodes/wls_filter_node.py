@@ -12,11 +12,11 @@ from stereo_msgs.msg import DisparityImage
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.images import Image as Picture
+from binocular_recon.images import to_bgr8, to_grey
 from binocular_recon.io.cloud_messages import fill_cloud
 from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.disparity_messages import DisparityMap, fill_disparity, read_disparity
-from binocular_recon.io.images import Image as Picture
-from binocular_recon.io.images import to_bgr8, to_grey
 from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
 from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import CloudMessageOptions, PresetOptions

@@ -46,7 +46,7 @@ def check_pair(
         if low < -_OVERSHOOT or high > 255 + _OVERSHOOT:
             raise ImageError(
                 f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255'
-                ' (io.images.to_grey converts other pictures)'
+                ' (images.to_grey converts other pictures)'
             )
     return left, right
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
-from binocular_recon.io.images import to_grey
+from binocular_recon.images import to_grey
 from binocular_recon.stereo.filtering import Filtered, filter_disparity
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.rectification import Image, Rectifier, check_size

@@ -12,9 +12,9 @@ import pytest
 from sensor_msgs.msg import Image, PointCloud2
 
 from binocular_recon.config import ChainConfig
+from binocular_recon.images import to_bgr8
 from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.disparity_messages import read_disparity
-from binocular_recon.io.images import to_bgr8
 from binocular_recon.io.messages import camera_from_message, read_image, stamp_ns
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from test.system.chain import OUTPUTS, prime, start_chain

@@ -9,8 +9,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import FilterConfig, MatchConfig
+from binocular_recon.images import to_grey
 from binocular_recon.io.disparity_messages import fill_disparity, read_disparity
-from binocular_recon.io.images import to_grey
 from binocular_recon.stereo.filtering import filter_disparity
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.rectification import Rectifier

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.errors import ImageError
-from binocular_recon.io.images import to_bgr8, to_grey
+from binocular_recon.images import to_bgr8, to_grey
 
 
 def test_luminance_is_rec_601_and_not_rounded() -> None:

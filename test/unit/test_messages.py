@@ -11,7 +11,7 @@ import pytest
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
-from binocular_recon.io.images import to_grey
+from binocular_recon.images import to_grey
 from binocular_recon.io.messages import (
     camera_from_message,
     fill_camera_info,
