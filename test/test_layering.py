@@ -16,7 +16,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 
 # A module imports from its own layer and those before it.
 LAYERS = [
-    {'', 'errors', 'config', 'camera', '_jit', '_simd', 'images'},
+    {'', 'errors', 'config', 'camera', '_jit', '_simd', 'images', 'pairing'},
     {'stereo', 'calibration'},
     {'io', 'simulation', 'evaluation'},
     {'nodes', 'cli', '__main__'},

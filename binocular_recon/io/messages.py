@@ -240,6 +240,16 @@ def rig_from_messages(left: Any, right: Any) -> StereoRig:
     )
 
 
+def calibration_content(info: Any) -> tuple[Any, ...]:
+    """Return what a CameraInfo says besides its header, to be compared."""
+    roi = info.roi
+    return (
+        *(np.asarray(getattr(info, member)).tobytes() for member in 'kdrp'),
+        *(info.width, info.height, info.distortion_model, info.binning_x, info.binning_y),
+        *(roi.x_offset, roi.y_offset, roi.width, roi.height),
+    )
+
+
 def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
     """Fill a CameraInfo message with ``camera``; binning and region of interest stay zero."""
     message.header = header

@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BagError, CalibrationError
 from binocular_recon.images import Image
 from binocular_recon.io.bags import Bag, Topic, decode
-from binocular_recon.io.messages import read_image, rig_from_messages, stamp_ns
+from binocular_recon.io.messages import (
+    calibration_content,
+    read_image,
+    rig_from_messages,
+    stamp_ns,
+)
 from binocular_recon.io.stereo_topics import StereoTopics
+from binocular_recon.pairing import Synchronizer
 
 # Pictures of one camera that may wait for the other's: recorders mix the cameras' messages.
 _WAITING = 50
@@ -47,6 +52,14 @@ class Pair:
         )
 
 
+class _Arrival(NamedTuple):
+    """A picture, its place in the recording, and the camera infos that preceded it."""
+
+    number: int
+    message: Any
+    infos: tuple[Any, ...]
+
+
 class StereoBag:
     """The picture pairs of an open bag.
 
@@ -74,17 +87,20 @@ class StereoBag:
         *,
         tolerance_ns: int = 0,
     ) -> None:
-        self._bag, self._names, self._rig = bag, topics, rig
-        self._matcher = _Matcher(tolerance_ns)
+        self._bag, self._rig = bag, rig
         recorded = {topic.name: topic for topic in bag.topics}
         self._images = [recorded[name] for name in topics.images]
         self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
+        self._synchronizer = Synchronizer(
+            topics.images, queue_size=_WAITING, tolerance_ns=tolerance_ns
+        )
+        self._pictures = self._pairs = 0
         self.expected = min(topic.message_count for topic in self._images)
 
     @property
     def unpaired(self) -> int:
         """Pictures left without a partner so far."""
-        return self._matcher.dropped
+        return self._pictures - 2 * self._pairs
 
     def __iter__(self) -> Iterator[Pair]:
         """Yield the pairs in the order of recording; only a few pictures are held at a time.
@@ -99,31 +115,44 @@ class StereoBag:
         """
         infos = self._first_infos()
         rig: StereoRig | None = self._rig or rig_from_messages(*infos)
-        paired = False
-        for topic, message in self._decoded([*self._images, *self._infos]):
-            if topic in self._infos:
-                side = self._infos.index(topic)
-                if _calibration(message) != _calibration(infos[side]):
-                    infos[side], rig = message, None
-                continue
-            pair = self._matcher.add(self._images.index(topic), message)
-            if pair:
-                paired = True
-                # only now: both cameras' infos have changed
-                rig = rig or self._changed_rig(infos)
-                if rig:
-                    yield Pair(stamp_ns(pair[0].header), rig, *pair)
-        if not paired:
-            raise BagError(f'{self._bag.path}: {self._matcher.complaint()}')
+        for left, right in self._arrivals(infos):
+            self._pairs += 1
+            # of the later picture: by then both cameras' infos have changed
+            latest = max(left, right, key=lambda picture: picture.number).infos
+            if latest is not infos:
+                infos, rig = latest, self._changed_rig(latest)
+            if rig:
+                yield Pair(stamp_ns(left.message.header), rig, left.message, right.message)
+        if not self._pairs:
+            raise BagError(f'{self._bag.path}: {self._complaint()}')
 
-    def _changed_rig(self, infos: list[Any]) -> StereoRig | None:
+    def _arrivals(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
+        """Yield the pictures that belong together, each with the camera infos that preceded it."""
+        for number, (topic, message) in enumerate(self._decoded([*self._images, *self._infos])):
+            if topic in self._infos:
+                infos = _replaced(infos, self._infos.index(topic), message)
+                continue
+            self._pictures += 1
+            arrival = _Arrival(number, message, infos)
+            yield from self._synchronizer.add(topic.name, stamp_ns(message.header), arrival)
+        yield from self._synchronizer.finish()
+
+    def _complaint(self) -> str:
+        """Say why nothing was paired."""
+        missing = self._synchronizer.explain()
+        if missing is None:
+            return 'only one camera has pictures that can be read'
+        text, needed_s = missing
+        return f'{text}; allow that with --approximate-sync-tolerance-seconds {needed_s:g}'
+
+    def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
         try:
             return rig_from_messages(*infos)
         except CalibrationError as error:
             self._bag.note(f'pictures are left out while the camera infos do not fit: {error}')
             return None
 
-    def _first_infos(self) -> list[Any]:
+    def _first_infos(self) -> tuple[Any, ...]:
         """Return the first camera info of each side: pictures may have been recorded before."""
         first: list[Any] = []
         for info in self._infos:
@@ -131,7 +160,7 @@ class StereoBag:
             if message is None:
                 raise BagError(f'{self._bag.path}: no {info.name} can be read')
             first.append(message)
-        return first
+        return tuple(first)
 
     def _decoded(self, topics: list[Topic]) -> Iterator[tuple[Topic, Any]]:
         for message in self._bag.messages(topics):
@@ -141,54 +170,8 @@ class StereoBag:
                 self._bag.note(f'{message.topic.name}: {error}')
 
 
-def _calibration(info: Any) -> tuple[Any, ...]:
-    """Return what a CameraInfo says besides its header, to be compared."""
-    roi = info.roi
-    window = (roi.x_offset, roi.y_offset, roi.width, roi.height, info.binning_x, info.binning_y)
-    matrices = [matrix.tobytes() for matrix in (info.d, info.k, info.r, info.p)]
-    return info.width, info.height, info.distortion_model, *window, *matrices
-
-
-class _Matcher:
-    """Pair the pictures of two streams by their stamps."""
-
-    def __init__(self, tolerance_ns: int) -> None:
-        self._tolerance_ns = tolerance_ns
-        self._waiting: tuple[deque[Any], deque[Any]] = (deque(), deque())
-        self._nearest_ns: int | None = None
-        self.dropped = 0
-
-    def add(self, side: int, message: Any) -> tuple[Any, Any] | None:
-        """Take the next picture of a side (0 = left); return left and right if they pair."""
-        queue = self._waiting[side]
-        if queue and stamp_ns(message.header) < stamp_ns(queue[-1].header):
-            # the recording looped: nothing older finds a partner any more
-            self._drop(self._waiting[0], len(self._waiting[0]))
-            self._drop(self._waiting[1], len(self._waiting[1]))
-        queue.append(message)
-        while all(self._waiting):
-            left, right = (stamp_ns(waiting[0].header) for waiting in self._waiting)
-            apart_ns = abs(left - right)
-            if apart_ns <= self._tolerance_ns:
-                return self._waiting[0].popleft(), self._waiting[1].popleft()
-            nearest = self._nearest_ns
-            self._nearest_ns = apart_ns if nearest is None else min(nearest, apart_ns)
-            self._drop(self._waiting[0 if left < right else 1])
-        self._drop(queue, len(queue) - _WAITING)
-        return None
-
-    def complaint(self) -> str:
-        """Say why nothing was paired."""
-        if self._nearest_ns is None:
-            return 'only one camera has pictures that can be read'
-        seconds = self._nearest_ns / 1e9
-        return (
-            f'no left and right picture are within {self._tolerance_ns / 1e9:g} s of each other,'
-            f' the closest are {seconds:g} s apart; allow that with'
-            f' --approximate-sync-tolerance-seconds {seconds * 1.01:.3g}'
-        )
-
-    def _drop(self, queue: deque[Any], count: int = 1) -> None:
-        for _ in range(count):
-            queue.popleft()
-            self.dropped += 1
+def _replaced(infos: tuple[Any, ...], side: int, info: Any) -> tuple[Any, ...]:
+    """Return ``infos`` with that of one side replaced, the same object if it says the same."""
+    if calibration_content(info) == calibration_content(infos[side]):
+        return infos
+    return (info, infos[1]) if side == 0 else (infos[0], info)

@@ -107,9 +107,11 @@ def name_stereo_topics(
     Raises
     ------
     BagError
-        If a topic is missing or of another type.
+        If a topic is missing or of another type, or the same is named twice.
 
     """
+    if images[0] == images[1]:
+        raise BagError(f'{images[0]} is named for both cameras; name the left and the right one')
     left, right = (image.removesuffix('/compressed').rpartition('/') for image in images)
     if infos is None:
         infos = f'{left[0]}/camera_info', f'{right[0]}/camera_info'

@@ -256,7 +256,7 @@ class CalibrationNode(StereoNode):
             return (
                 f'no messages on {", ".join(topic for topic in silent if topic in self._inputs)}'
             )
-        return self._synchronizer.explain()
+        return self.explain_missing_sets()
 
     def _check_still(self, pair: _Pair, capture: Capture) -> None:
         """Raise a CalibrationError if the next pair shows the marks elsewhere."""

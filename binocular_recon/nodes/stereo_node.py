@@ -17,13 +17,13 @@ from rclpy.node import Node
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import Options
 from binocular_recon.errors import BinocularReconError, CalibrationError
-from binocular_recon.io.messages import rig_from_messages, stamp_ns
+from binocular_recon.io.messages import calibration_content, rig_from_messages, stamp_ns
 from binocular_recon.nodes.endpoints import Input, Output, offer, subscribe
 from binocular_recon.nodes.health import Health
 from binocular_recon.nodes.options import InputOptions
-from binocular_recon.nodes.pairing import Synchronizer
 from binocular_recon.nodes.parameters import Parameters
 from binocular_recon.nodes.worker import LatestWorker
+from binocular_recon.pairing import Synchronizer
 
 # How often a listener is looked for where the middleware does not report it.
 _POLL_S = 0.2
@@ -117,7 +117,7 @@ class StereoNode(Node):
 
     def rig(self, left_info: Any, right_info: Any) -> StereoRig:
         """Return the rig of two CameraInfos, made anew only when they change."""
-        key = _content(left_info), _content(right_info)
+        key = calibration_content(left_info), calibration_content(right_info)
         if self._rig is None or self._rig[0] != key:
             self._rig = None
             self._rig = key, rig_from_messages(left_info, right_info)
@@ -131,6 +131,22 @@ class StereoNode(Node):
             f'{rig.left.width}x{rig.left.height} px, f {rig.focal_px:.2f} px, baseline'
             f' {rig.baseline_m:.4f} m, cx_left - cx_right {rig.disparity_offset_px:.2f} px',
         )
+
+    def explain_missing_sets(self) -> str:
+        """Say why there are no sets although every topic has messages."""
+        missing = self._synchronizer.explain()
+        if missing is None:
+            return (
+                f'sets of {", ".join(self._inputs)} stay incomplete although stamps agree:'
+                ' messages get lost; set reliability to reliable on both sides or raise queue_size'
+            )
+        text, needed_s = missing
+        remedy = (
+            'raise'
+            if self.options.of(InputOptions).tolerance_ns
+            else 'trigger the cameras together or set approximate_sync with'
+        )
+        return f'{text}; {remedy} approximate_sync_tolerance_seconds of at least {needed_s:.6f}'
 
     def destroy_node(self) -> None:
         """End the work, then the node."""
@@ -217,7 +233,7 @@ class StereoNode(Node):
             since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
             text = f'no message on {since}; check that camera and its cable'
         elif without_sets is not None:
-            text = self._synchronizer.explain()
+            text = self.explain_missing_sets()
         elif superseded:
             level = DiagnosticStatus.WARN
             text = f'cannot keep up: dropped {superseded} sets for newer ones within a second'
@@ -225,13 +241,3 @@ class StereoNode(Node):
             return DiagnosticStatus.OK, f'{processed} frames within a second'
         self.health.log(level, text)
         return level, text
-
-
-def _content(info: Any) -> tuple[Any, ...]:
-    """Return what a CameraInfo says, but for its header."""
-    roi = info.roi
-    return (
-        *(getattr(info, member).tobytes() for member in 'kdrp'),
-        *(info.width, info.height, info.distortion_model, info.binning_x, info.binning_y),
-        *(roi.x_offset, roi.y_offset, roi.width, roi.height),
-    )

@@ -129,7 +129,7 @@ def odd_encoding(folder: Path) -> Path:
         ),
         (uncalibrated, 'left camera: camera is not calibrated (fx = 0'),
         (swapped, 'baseline must be positive'),
-        (unsynchronised, 'the closest are 0.003 s apart; allow that with --approximate-sync'),
+        (unsynchronised, 'right/image_raw is 3.000 ms later'),
         (wrong_size, f'{WIDTH}x{HEIGHT - 8} px, its calibration is for {WIDTH}x{HEIGHT}'),
         (odd_encoding, "encoding 'infrared9'"),
     ],

@@ -96,7 +96,7 @@ def test_stamps_that_never_match_say_by_how_much(tmp_path: Path) -> None:
     path = write_bag(tmp_path / 'bag', [*infos(), *records])
     with pytest.raises(
         BagError,
-        match=r'closest are 0\.04 s apart; .*--approximate-sync-tolerance-seconds 0\.0404',
+        match=r'right/image_raw is 40\.000 ms later .*-sync-tolerance-seconds 0\.04$',
     ):
         pairs_of(path)
     assert len(pairs_of(path, 40_400_000)) == 2
@@ -106,7 +106,7 @@ def test_a_silent_camera_is_said(tmp_path: Path) -> None:
     path = write_bag(
         tmp_path / 'bag', [*infos(), *shots(LEFT, list(range(200))), *shots(RIGHT, [10**9])]
     )
-    with pytest.raises(BagError, match='closest are'):
+    with pytest.raises(BagError, match=r'right/image_raw is 1000\.000 ms later'):
         pairs_of(path)
 
 

@@ -96,5 +96,7 @@ def test_named_topics_are_checked() -> None:
         name_stereo_topics(have, images)
     with pytest.raises(BagError, match=r'no /c of type .*Image or .*CompressedImage; the bag has'):
         name_stereo_topics(have, ('/a/image_rect', '/c'))
+    with pytest.raises(BagError, match='/a/image_rect is named for both cameras; name the left'):
+        name_stereo_topics(have, ('/a/image_rect', '/a/image_rect'))
     infos = ('/a/camera_info', '/a/camera_info')
     assert name_stereo_topics(have, images, infos).rectified

@@ -25,6 +25,7 @@ class _Input:
         self.recent_ns: deque[int] = deque(maxlen=2 * queue_size)
         self.step_ns: int | None = None  # smallest distance of consecutive stamps
         self.behind = 0  # messages for which it may still be in the time before a jump back
+        self.ended = False
         self.expected = True
 
     def nearest(self, stamp_ns: int) -> _Entry | None:
@@ -34,7 +35,7 @@ class _Input:
 
     def is_settled(self, stamp_ns: int, gap_ns: int) -> bool:
         """Tell whether no message nearer to a stamp than ``gap_ns`` can still arrive."""
-        if gap_ns == 0 or (self.recent_ns and self.recent_ns[-1] >= stamp_ns):
+        if self.ended or gap_ns == 0 or (self.recent_ns and self.recent_ns[-1] >= stamp_ns):
             return True
         return self.step_ns is not None and 2 * gap_ns <= self.step_ns
 
@@ -43,10 +44,10 @@ class Synchronizer:
     """Find sets of messages, one per input, whose stamps agree.
 
     The first input leads: each of its messages is paired with the nearest of every other input,
-    as soon as no nearer one can come. At most ``queue_size`` messages per input wait. When stamps
-    of an input go back (a bag that loops, a simulation that starts again), what waits there is
-    dropped, and an input that has not gone back yet pairs with nothing until it does or
-    ``queue_size`` of its messages have passed.
+    as soon as no nearer one can come; what is older than its set is dropped. At most
+    ``queue_size`` messages per input wait. When stamps of an input go back (a bag that loops, a
+    simulation that starts again), what waits there is dropped, and an input that has not gone
+    back yet pairs with nothing until it does or ``queue_size`` of its messages have passed.
 
     Sets are returned, not passed to a callback: nothing of the caller's runs under the lock.
 
@@ -85,15 +86,14 @@ class Synchronizer:
         """Take a message and return the sets that it completes, in the order of ``names``."""
         with self._lock:
             self._arrive(self._inputs[name], _Entry(stamp_ns, message))
-            sets = []
-            for leading in list(self._leader.waiting):
-                found = self._partners(leading)
-                if found is not None:
-                    sets.append(tuple(entry and entry.message for entry in found))
-                    for one, entry in zip(self._inputs.values(), found, strict=True):
-                        if entry is not None:
-                            one.waiting.remove(entry)
-            return sets
+            return self._take_sets()
+
+    def finish(self) -> list[tuple[Any, ...]]:
+        """Return the sets that waited for a nearer message: none arrives any more."""
+        with self._lock:
+            for one in self._inputs.values():
+                one.ended = True
+            return self._take_sets()
 
     def clear(self) -> None:
         """Forget what waits and what was seen, but not what was dropped."""
@@ -103,8 +103,18 @@ class Synchronizer:
                 one.recent_ns.clear()
                 one.behind = 0
 
-    def explain(self) -> str:
-        """Say why there are no sets although messages arrive: by how much their stamps miss."""
+    def explain(self) -> tuple[str, float] | None:
+        """Say by how much stamps miss each other.
+
+        Returns
+        -------
+        text : str
+            The smallest difference of each input's recent stamps from the leader's.
+        needed_s : float
+            The tolerance that would let them match, s, rounded up to whole microseconds. None
+            instead of both if stamps agree or there are none.
+
+        """
         with self._lock:
             limit_ns = float('inf') if self._tolerance_ns is None else self._tolerance_ns
             misses_ns = {
@@ -113,24 +123,30 @@ class Synchronizer:
                 if (miss_ns := self._miss_ns(one)) is not None and abs(miss_ns) > limit_ns
             }
         if not misses_ns:
-            return (
-                f'sets of {", ".join(self._inputs)} stay incomplete although stamps agree:'
-                ' messages get lost; set reliability to reliable on both sides or raise queue_size'
-            )
+            return None
         misses = ', '.join(
             f'{name} is {abs(miss_ns) / 1e6:.3f} ms {"later" if miss_ns > 0 else "earlier"}'
             for name, miss_ns in misses_ns.items()
         )
-        needed_s = max(map(abs, misses_ns.values())) / 1e9
-        remedy = (
-            'raise'
-            if self._tolerance_ns
-            else 'trigger the cameras together or set approximate_sync with'
-        )
-        return (
-            f'stamps never match those of {self._leader.name}: {misses} (nearest of the recent'
-            f' ones); {remedy} approximate_sync_tolerance_seconds above {needed_s:.6f}'
-        )
+        text = f'stamps never match those of {self._leader.name}: {misses} (nearest recent ones)'
+        needed_us = -(-max(map(abs, misses_ns.values())) // 1000)
+        return text, needed_us / 1e6
+
+    def _take_sets(self) -> list[tuple[Any, ...]]:
+        """Remove complete sets, and what is older: its partners would have come before theirs."""
+        sets = []
+        for leading in list(self._leader.waiting):
+            found = self._partners(leading)
+            if found is not None:
+                sets.append(tuple(entry and entry.message for entry in found))
+                for one, entry in zip(self._inputs.values(), found, strict=True):
+                    if entry is not None:
+                        self._remove(one, entry)
+        return sets
+
+    def _remove(self, one: _Input, entry: _Entry) -> None:
+        while one.waiting.popleft() is not entry:
+            self.dropped[f'{one.name} without partner'] += 1
 
     def _miss_ns(self, one: _Input) -> int | None:
         """Return the smallest difference of an expected input's stamps from the leader's."""
