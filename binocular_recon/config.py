@@ -152,6 +152,12 @@ class MatchConfig(Options):
         maximum=64.0,
     )
 
+    def __post_init__(self) -> None:
+        """Check that a larger step costs at least as much as a small one."""
+        super().__post_init__()
+        if self.P1 > self.P2:
+            raise ConfigError(f'P1 must be at most P2, got {self.P1} and {self.P2}')
+
     @property
     def limits_px(self) -> tuple[float, float]:
         """Smallest and largest disparity searched, px."""

@@ -50,8 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # who reads the output, such as `head`, has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PROBLEM
-    except (BinocularReconError, OSError) as error:
+    except (BinocularReconError, OSError, MemoryError) as error:
         message = ' '.join(str(error).split())
+        if isinstance(error, MemoryError):
+            message = f'{message}; choose a smaller disparity_range or smaller pictures'
         print(f'binocular_recon {args.command}: {message}', file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_PROBLEM
     except KeyboardInterrupt as interrupt:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import statistics
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,8 @@ class ResultFolder:
             return write_ply(ply, cloud.points_xyz, cloud.sigma_z_m, bgr)
         except BaseException:
             for path in files:
-                path.unlink(missing_ok=True)
+                with suppress(OSError):  # what went wrong first is said
+                    path.unlink(missing_ok=True)
             raise
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:

@@ -51,6 +51,10 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
     """
     part = path.with_name(f'.{path.name}.{os.getpid()}.part')
     try:
+        if path.exists() and not path.is_file():  # a device or a pipe is not replaced by a file
+            with path.open('wb') as file:
+                yield file
+            return
         with part.open('wb') as file:
             yield file
         part.replace(path)

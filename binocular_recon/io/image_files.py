@@ -51,9 +51,15 @@ def write_image_file(path: Path, image: Image) -> None:
     Raises
     ------
     FileError
-        If the file cannot be written.
+        If the file cannot be written, or not as this kind of picture.
 
     """
-    data = cv2.imencode(path.suffix, image)[1]
+    try:
+        data = cv2.imencode(path.suffix, image)[1]
+    except cv2.error as error:
+        raise FileError(
+            f'{path} cannot be written: no format of pictures of {image.dtype} ends in'
+            f' {path.suffix!r}; choose .png or .tiff'
+        ) from error
     with complete_file(path) as file:
         file.write(data.tobytes())

@@ -45,7 +45,6 @@ from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import CalibrationOptions, InputOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
-from binocular_recon.nodes.worker import LatestWorker
 from binocular_recon.stereo.rectification import rectified_points
 
 # How long a capture waits for a second pair, to see whether everything stands still.
@@ -115,7 +114,7 @@ class CalibrationNode(StereoNode):
         self._arrived = threading.Condition()
         self._captured_ns: int | None = None
         self._storing, self._solving = threading.Lock(), threading.Lock()
-        self._preview = LatestWorker(self._show)
+        self._preview = self.start_worker(self._show)
         self._setters: dict[str, Any] = {
             side: self.create_client(SetCameraInfo, f'{side}/set_camera_info')
             for side in ('left', 'right')
@@ -149,11 +148,6 @@ class CalibrationNode(StereoNode):
             self._arrived.notify_all()
         if self.wanted('detections'):
             self._preview.submit((self._newest, left.header))
-
-    def destroy_node(self) -> None:
-        """End the preview, then the node."""
-        self._preview.close()
-        super().destroy_node()
 
     def _serve(
         self, job: Callable[[], str], _request: Trigger.Request, response: Trigger.Response

@@ -22,6 +22,7 @@ from rosgraph_msgs.msg import Clock
 
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags import Bag, Topic
+from binocular_recon.nodes.running import init_ros
 
 # How long the start waits for subscribers, the end for the last messages to be acknowledged.
 _START_WITHIN_S, _END_WITHIN_S = 2.0, 5.0
@@ -64,15 +65,15 @@ def play(
     BagError
         If the bag cannot be read, no topic of it can be published, or it is damaged (when all
         that precedes the damage was played).
+    ConfigError
+        If ROS refuses ``ros_args``.
     KeyboardInterrupt
         On SIGINT and SIGTERM, after the publishers were closed.
 
     """
     with Bag(path) as bag:
-        rclpy.init(
-            args=['play_bag', '--ros-args', *ros_args] if ros_args else [],
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        words = ['play_bag', *(['--ros-args', *ros_args] if ros_args else [])]
+        init_ros(words, signal_handler_options=SignalHandlerOptions.NO)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         node = Node('play_bag', start_parameter_services=False)
         try:

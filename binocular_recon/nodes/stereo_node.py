@@ -61,11 +61,19 @@ class StereoNode(Node):
     FIXED: ClassVar[Sequence[type[Options]]] = (InputOptions,)
 
     def __init__(self) -> None:
+        # before all that can fail: ROS destroys nodes that were not finished, too
+        self._workers: list[LatestWorker[Any]] = []
         super().__init__(self.NAME)
         self.options = Parameters(self, live=self.LIVE, fixed=self.FIXED)
         self.health = Health(self.get_logger())
         self._rig: tuple[Any, StereoRig] | None = None
-        self._worker = LatestWorker(self._work)
+        self._worker = self.start_worker(self._work)
+
+    def start_worker(self, work: Callable[[Any], None]) -> LatestWorker[Any]:
+        """Return a worker that ends with the node."""
+        worker = LatestWorker(work)
+        self._workers.append(worker)
+        return worker
 
     def prepare(self, compile_kernels: Callable[[], None]) -> None:
         """Compile the kernels before the first frame; later starts take them from the cache."""
@@ -150,7 +158,8 @@ class StereoNode(Node):
 
     def destroy_node(self) -> None:
         """End the work, then the node."""
-        self._worker.close()
+        for worker in self._workers:
+            worker.close()
         super().destroy_node()
 
     def _subscribe(self) -> list[Any]:
@@ -197,6 +206,9 @@ class StereoNode(Node):
             kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
             self.health.dropped(kind)
             self.health.error(str(error))
+        except MemoryError as error:
+            self.health.dropped('not enough memory')
+            self.health.error(f'{error}; choose a smaller disparity_range or smaller pictures')
         except Exception:  # noqa: BLE001 - a fault in one frame must not end the node
             if self.context.ok():  # after a shutdown nothing can be published
                 self.health.dropped('internal error')

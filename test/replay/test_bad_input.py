@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -211,6 +212,20 @@ def test_a_full_disk_keeps_the_finished_frames(
     assert 'No space left on device; free some space' in capsys.readouterr().err
     assert frames_of(output) == 1
     assert json.loads((output / 'summary.json').read_text())['finished'] is False
+
+
+def test_a_disk_that_became_read_only_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(path: Path, *_args: object, **_options: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    bag = write_bag(tmp_path / 'bag', stereo_records(1))
+    monkeypatch.setattr(Path, 'replace', fail)
+    monkeypatch.setattr(Path, 'unlink', fail)
+    assert reconstruct(bag, tmp_path / 'out') == 1
+    said = capsys.readouterr().err
+    assert '000000_disparity.pfm cannot be written: Read-only file system; choose a fold' in said
 
 
 def test_an_interruption_keeps_the_finished_frames(tmp_path: Path) -> None:

@@ -193,6 +193,7 @@ def test_node_refuses_to_start(
     node = NodeProcess('calibration_node', tmp_path / 'log', **parameters)
     assert node.process.wait(30) == 1
     assert message in node.text()
+    assert 'Traceback' not in node.text(), node.text()
 
 
 def _offer_set_camera_info(graph: Graph, side: str, taken: list[CameraInfo]) -> Any:

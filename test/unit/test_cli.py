@@ -139,6 +139,11 @@ def test_errors_become_one_line_and_a_status(
         (ConfigError('x must be 1'), 2, 'binocular_recon play: x must be 1\n'),
         (OSError(28, 'No space left on device', 'f'), 1, None),
         (
+            MemoryError('9 GiB'),
+            1,
+            'binocular_recon play: 9 GiB; choose a smaller disparity_range or smaller pictures\n',
+        ),
+        (
             KeyboardInterrupt('3 frames kept'),
             130,
             'binocular_recon play: interrupted; 3 frames kept\n',

@@ -41,6 +41,18 @@ def test_a_really_full_device_is_a_file_error(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
+    device = tmp_path / 'device'
+    device.symlink_to('/dev/full')
+    with pytest.raises(FileError, match='No space left'):
+        write_json(device, {'x': 1})
+    device.unlink()
+    device.symlink_to('/dev/null')
+    write_json(device, {'x': 1})
+    assert device.is_symlink() and device.is_char_device()
+
+
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r'none/a\.json cannot be written: No such file'):
         write_json(tmp_path / 'none' / 'a.json', {})

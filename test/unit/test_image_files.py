@@ -43,6 +43,12 @@ def test_what_is_no_picture_is_named(tmp_path: Path) -> None:
         read_image_file(tmp_path)
 
 
+def test_a_name_that_stands_for_no_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"no format of pictures of uint8 ends in '\.xyz'; choose"):
+        write_image_file(tmp_path / 'a.xyz', np.zeros((2, 2), np.uint8))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_disparity_png_rounds_to_a_256th_and_keeps_none(tmp_path: Path) -> None:
     disparity_px = RNG.uniform(0.01, 255, (40, 30)).astype(np.float32)
     disparity_px[2, 3] = np.nan
