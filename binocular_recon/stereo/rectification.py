@@ -16,6 +16,8 @@ from binocular_recon.errors import ConfigError, ImageError
 Image = npt.NDArray[Any]
 Map = npt.NDArray[np.float32]
 
+# Longest side of a picture that cv2.remap takes.
+LARGEST_SIDE_PX = 32766
 # Points along each side of the picture that stand for its border in `_border_points`.
 _BORDER_SAMPLES = 65
 
@@ -87,6 +89,8 @@ class Rectifier:
     ------
     ConfigError
         If ``alpha`` is neither -1 nor within 0..1.
+    ImageError
+        If the pictures are larger than `LARGEST_SIDE_PX`.
 
     """
 
@@ -95,6 +99,11 @@ class Rectifier:
     ) -> None:
         if alpha != -1.0 and not 0.0 <= alpha <= 1.0:
             raise ConfigError(f'alpha must be -1 (keep P) or within 0..1, got {alpha}')
+        if max(rig.left.size) > LARGEST_SIDE_PX:
+            raise ImageError(
+                f'pictures of {rig.left.width}x{rig.left.height} px cannot be rectified; their'
+                f' longest side may have {LARGEST_SIDE_PX} px'
+            )
         if alpha >= 0.0:
             rig = _rescaled(rig, alpha)
         self.rig = StereoRig(_rectified(rig.left), _rectified(rig.right))

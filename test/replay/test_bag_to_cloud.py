@@ -17,12 +17,15 @@ import pytest
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.cli.main import main
+from binocular_recon.config import ChainConfig
+from binocular_recon.evaluation.metrics import visible_from_truth
 from binocular_recon.io.bag_writer import BagWriter, write_pair
 from binocular_recon.io.bags import Bag
 from binocular_recon.io.calibration_yaml import write_camera
 from binocular_recon.io.disparity_png import read_disparity_png
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.stereo.pipeline import estimate_disparity
 
 BAGS = Path(__file__).parents[2] / 'bags'
 VERTEX = np.dtype([('xyz', '<f4', 3), ('rgb', 'u1', 3), ('sigma_z', '<f4')])
@@ -198,6 +201,37 @@ def test_demo_cloud_is_metric(demo: Path) -> None:
     assert np.median(error_mm) < 15
     left = read_image_file(demo / '000000_cloud.png')[:, : truth_px.shape[1]]
     np.testing.assert_array_equal(vertices['rgb'].reshape(left.shape), left[..., ::-1])
+
+
+def _normalised_error_rms(error_px: FloatImage, sigma_px: FloatImage) -> float:
+    """Return the RMS of error / sigma of the pixels that are matched correctly."""
+    correct = np.abs(error_px) < 1
+    return float(np.sqrt(np.mean((error_px[correct] / sigma_px[correct]) ** 2)))
+
+
+def test_sigma_z_of_the_demo_is_honest(demo: Path) -> None:
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    visible = read_image_file(BAGS / 'motorcycle_truth' / 'visible.png') > 0
+    vertices = read_ply(demo / '000000.ply')
+    z = vertices['xyz'][:, 2].reshape(truth_px.shape)
+    sigma_z = vertices['sigma_z'].reshape(truth_px.shape)
+    sigma_px = 999.421 * 0.193001 * sigma_z / z**2
+    error_px = read_pfm(demo / '000000_disparity.pfm') - truth_px
+    known = visible & np.isfinite(truth_px)
+    assert 0.7 < _normalised_error_rms(error_px[known], sigma_px[known]) < 1.4
+    assert np.quantile(sigma_px, 0.9) > 2 * np.quantile(sigma_px, 0.1)  # no constant
+
+
+@pytest.mark.parametrize('scene', ['cones', 'teddy'])
+def test_sigma_of_other_scenes_is_honest(shared_data: Path, scene: str) -> None:
+    folder = shared_data / 'stereo' / scene
+    truth_px = read_pfm(folder / 'disparity.pfm')
+    config = ChainConfig.preset('default', disparity_range=65)
+    left, right = (read_image_file(folder / f'{side}.png') for side in ('left', 'right'))
+    filtered = estimate_disparity(left, right, config)[1]
+    known = visible_from_truth(truth_px) & np.isfinite(truth_px)
+    error_px = (filtered.disparity_px - truth_px)[known]
+    assert 0.7 < _normalised_error_rms(error_px, filtered.sigma_px[known]) < 1.4
 
 
 def test_the_shipped_files_are_those_of_the_readme() -> None:

@@ -16,6 +16,7 @@ from binocular_recon.images import to_bgr8
 from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.disparity_messages import read_disparity
 from binocular_recon.io.messages import camera_from_message, read_image, stamp_ns
+from binocular_recon.stereo.matching import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from test.system.chain import OUTPUTS, prime, start_chain
 from test.system.conftest import StartNode
@@ -131,6 +132,8 @@ def test_every_matched_disparity(frames: list[Frame]) -> None:
         # equal_nan: the same pixels are valid
         np.testing.assert_allclose(read.disparity_px, expected.matched.disparity_px, atol=1e-3)
         np.testing.assert_array_equal(values(messages['confidence']), expected.matched.confidence)
+        step_px = disparity_step_px(CONFIG.match)
+        assert messages['disparity'].delta_d == pytest.approx(step_px)
         valid = np.isfinite(read.disparity_px)
         assert 0.4 < valid.mean() < 1, encoding
         if encoding == '32FC1':

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from functools import partial
 from typing import Any
 
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import PRESETS, MatchConfig
@@ -33,7 +35,13 @@ TYPES = {
 def _nodes(start_node: StartNode) -> None:
     start_node('rectify_node')
     # window and range are explicit, the range as a whole number for a float option
-    start_node('match_node', correlation_window_size=11, speckle_range=2, disparity_range=32)
+    start_node(
+        'match_node',
+        correlation_window_size=11,
+        speckle_range=2,
+        disparity_range=32,
+        **{'qos_overrides./rig/right/image_rect.subscription.reliability': 'reliable'},
+    )
     start_node('wls_filter_node', preset='paper')
 
 
@@ -131,6 +139,23 @@ def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
             offset_px = rectify.rig.disparity_offset_px
             assert message.min_disparity == pytest.approx(low - offset_px)
             assert message.max_disparity == pytest.approx(low + 31 - offset_px)
+
+
+def test_quality_of_service_is_that_of_the_sensors_unless_overridden(graph: Graph) -> None:
+    """Publishers are reliable, subscriptions best effort, but for the one that was overridden."""
+    with graph.listening(('/rig/disparity', DisparityImage)):
+        listening = partial(graph.node.get_subscriptions_info_by_topic, '/rig/left/image_rect')
+        wait_until(listening, 'match_node to listen')
+        (left,) = [x.qos_profile for x in listening() if x.node_name == 'match_node']
+        (right,) = graph.node.get_subscriptions_info_by_topic('/rig/right/image_rect')
+    assert left.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert right.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    for node in (RectifyNode, MatchNode, WlsFilterNode):
+        for output in node.OUTPUTS:
+            for offered in graph.node.get_publishers_info_by_topic(f'/rig/{output.topic}'):
+                if offered.node_name == node.NAME:
+                    assert offered.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                    assert offered.qos_profile.durability == DurabilityPolicy.VOLATILE
 
 
 @pytest.mark.parametrize(

@@ -149,6 +149,13 @@ def test_wrong_size_is_refused() -> None:
         rectifier(good, bad)
 
 
+def test_pictures_larger_than_opencv_takes_are_refused() -> None:
+    rig = make_rig()[0]
+    left, right = (dataclasses.replace(camera, width=33_000) for camera in (rig.left, rig.right))
+    with pytest.raises(ImageError, match=r'of 33000x200 px cannot be rectified; .* 32766 px'):
+        Rectifier(StereoRig(left, right))
+
+
 @pytest.mark.parametrize('alpha', [-0.5, 1.1, float('nan')])
 def test_alpha_out_of_range_is_refused(alpha: float) -> None:
     with pytest.raises(ConfigError, match='alpha must be -1'):
