@@ -10,15 +10,17 @@ exact to the last digits of x although links span five decades and more.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel, ordered_kernel
+from binocular_recon._jit import inline_kernel, kernel, ordered_kernel
+from binocular_recon._simd import LANES, larger, load, splat, store
 
 Vector = npt.NDArray[np.float32]
 Quad = tuple[np.float32, np.float32, np.float32, np.float32]
+Steps = tuple[Any, Any, Any]
 
 PAD = 2
 # Rows by which the strips of the smoother overlap: enough that a strip does not see its ends.
@@ -62,69 +64,76 @@ class Lattice(NamedTuple):
     strip: int
 
 
-@kernel
-def _add_product(out: Vector, a: Vector, b: Vector) -> None:
-    for i in range(len(out)):
-        out[i] += a[i] * b[i]
+@inline_kernel
+def _steps(table: npt.NDArray[np.int64], y: int) -> Steps:
+    row = table[y & 1]
+    return row[1], row[2], row[3]
 
 
-@kernel
-def _add_flux(out: Vector, link: Vector, there: Vector, here: Vector) -> None:
-    for i in range(len(out)):
-        out[i] += link[i] * (there[i] - here[i])
+@inline_kernel
+def _flux(lattice: Lattice, x: Vector, k: int, ahead: Steps, back: Steps) -> Any:
+    """Return a vector of ``-A x`` from node k."""
+    links = lattice.links
+    right, one, two, three = links[0], links[1], links[2], links[3]
+    here = load(x, k)
+    total = load(right, k) * (load(x, k + 1) - here)
+    total = total + load(right, k - 1) * (load(x, k - 1) - here)
+    total = total + load(one, k) * (load(x, k + ahead[0]) - here)
+    total = total + load(one, k - back[0]) * (load(x, k - back[0]) - here)
+    total = total + load(two, k) * (load(x, k + ahead[1]) - here)
+    total = total + load(two, k - back[1]) * (load(x, k - back[1]) - here)
+    total = total + load(three, k) * (load(x, k + ahead[2]) - here)
+    total = total + load(three, k - back[2]) * (load(x, k - back[2]) - here)
+    return total - load(lattice.excess, k) * here
 
 
-@kernel
-def _add_positive(out: Vector, link: Vector) -> None:
-    for i in range(len(out)):
-        out[i] += max(link[i], _ZERO)
+@inline_kernel
+def _coupled(factors: Vector, i: int, z: Vector, j: int, a: int) -> Any:
+    return load(factors[a], i) * load(z, j)
 
 
 @ordered_kernel
-def _compose(row: Vector, factor: Vector, i: int) -> tuple[Quad, Quad]:
-    """Return a, b with ``row[i + j]`` to become ``b[j] + a[j] * last``."""
-    a0, b0 = factor[i], row[i]
-    a1, b1 = factor[i + 1] * a0, row[i + 1] + factor[i + 1] * b0
-    a2, b2 = factor[i + 2] * a1, row[i + 2] + factor[i + 2] * b1
-    a3, b3 = factor[i + 3] * a2, row[i + 3] + factor[i + 3] * b2
+def _compose(z: Vector, i: int, factor: Vector, k: int, way: int) -> tuple[Quad, Quad]:
+    """Return a, b with ``z[i + way * j]`` to become ``b[j] + a[j] * before``."""
+    f1, f2, f3 = factor[k + way], factor[k + 2 * way], factor[k + 3 * way]
+    a0, b0 = factor[k], z[i]
+    a1, b1 = f1 * a0, z[i + way] + f1 * b0
+    a2, b2 = f2 * a1, z[i + 2 * way] + f2 * b1
+    a3, b3 = f3 * a2, z[i + 3 * way] + f3 * b2
     return (a0, a1, a2, a3), (b0, b1, b2, b3)
 
 
 @ordered_kernel
-def _solve_recurrence(row: Vector, factor: Vector) -> None:
-    """Replace row[i] by row[i] + factor[i] * row[i - 1], in turn.
+def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
+    """Replace z[i] by z[i] + factor[i - 1] * z[i - 1], in turn.
 
     Eight at a time, so that only two multiplications in eight wait for the one before.
     """
-    last = _ZERO
-    whole = len(row) - len(row) % 8
-    for i in range(0, whole, 8):
-        a, b = _compose(row, factor, i)
-        c, d = _compose(row, factor, i + 4)
-        middle = b[3] + a[3] * last
-        row[i], row[i + 1] = b[0] + a[0] * last, b[1] + a[1] * last
-        row[i + 2], row[i + 3] = b[2] + a[2] * last, middle
-        last = d[3] + c[3] * middle
-        row[i + 4], row[i + 5] = d[0] + c[0] * middle, d[1] + c[1] * middle
-        row[i + 6], row[i + 7] = d[2] + c[2] * middle, last
-    for i in range(whole, len(row)):
-        last = row[i] + factor[i] * last
-        row[i] = last
+    before = _ZERO
+    for i in range(first, last, 8):
+        a, b = _compose(z, i, factor, i - 1, 1)
+        c, d = _compose(z, i + 4, factor, i + 3, 1)
+        middle = b[3] + a[3] * before
+        z[i], z[i + 1] = b[0] + a[0] * before, b[1] + a[1] * before
+        z[i + 2], z[i + 3] = b[2] + a[2] * before, middle
+        before = d[3] + c[3] * middle
+        z[i + 4], z[i + 5] = d[0] + c[0] * middle, d[1] + c[1] * middle
+        z[i + 6], z[i + 7] = d[2] + c[2] * middle, before
 
 
-@kernel
-def _subtract_product_row(lattice: Lattice, x: Vector, y: int, out: Vector) -> None:
-    """Subtract row y of A x."""
-    links, n = lattice.links, len(out)
-    k = (y + PAD) * lattice.stride + PAD
-    here, excess = x[k : k + n], lattice.excess[k : k + n]
-    for i in range(n):
-        out[i] -= excess[i] * here[i]
-    for a in range(4):
-        there = k + lattice.later[y & 1, a]
-        _add_flux(out, links[a, k : k + n], x[there : there + n], here)
-        there = k - lattice.earlier[y & 1, a]
-        _add_flux(out, links[a, there : there + n], x[there : there + n], here)
+@ordered_kernel
+def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
+    """Replace z[i] by z[i] + factor[i] * z[i + 1], in turn from the last."""
+    before = _ZERO
+    for i in range(last - 1, first - 1, -8):
+        a, b = _compose(z, i, factor, i, -1)
+        c, d = _compose(z, i - 4, factor, i - 4, -1)
+        middle = b[3] + a[3] * before
+        z[i], z[i - 1] = b[0] + a[0] * before, b[1] + a[1] * before
+        z[i - 2], z[i - 3] = b[2] + a[2] * before, middle
+        before = d[3] + c[3] * middle
+        z[i - 4], z[i - 5] = d[0] + c[0] * middle, d[1] + c[1] * middle
+        z[i - 6], z[i - 7] = d[2] + c[2] * middle, before
 
 
 @kernel
@@ -132,50 +141,67 @@ def residual(
     lattice: Lattice, right: Vector, x: Vector, out: Vector, start: int, stop: int
 ) -> None:
     """Write ``right - A x``."""
-    n = lattice.stride - 2 * PAD
     for y in range(start, stop):
-        k = (y + PAD) * lattice.stride + PAD
-        out[k : k + n] = right[k : k + n]
-        _subtract_product_row(lattice, x, y, out[k : k + n])
+        ahead, back = _steps(lattice.later, y), _steps(lattice.earlier, y)
+        first = (y + PAD) * lattice.stride + PAD
+        for k in range(first, first + lattice.stride - PAD, LANES):
+            store(out, k, load(right, k) + _flux(lattice, x, k, ahead, back))
 
 
 @kernel
 def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> None:
     """Copy a strip's matrix; a negative link is left out, which makes the matrix larger."""
-    stride, n = lattice.stride, lattice.stride - 2 * PAD
+    stride, links, zero = lattice.stride, lattice.links, splat(_ZERO)
+    diagonal = factors[4]
     for y in range(top, bottom):
-        k, i = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
-        diagonal = factors[4, i : i + n]
-        diagonal[:] = lattice.excess[k : k + n]
-        for a in range(4):
-            link = lattice.links[a, k : k + n]
-            factors[a, i : i + n] = _ZERO
-            _add_positive(factors[a, i : i + n], link)
-            _add_positive(diagonal, link)
-            before = k - lattice.earlier[y & 1, a]
-            _add_positive(diagonal, lattice.links[a, before : before + n])
+        back = lattice.earlier[y & 1]
+        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        for i in range(first, first + stride - PAD, LANES):
+            total = load(lattice.excess, k)
+            for a in range(4):
+                link = larger(load(links[a], k), zero)
+                store(factors[a], i, link)
+                total = total + link + larger(load(links[a], k - back[a]), zero)
+            store(diagonal, i, total)
+            k += LANES
+
+
+@ordered_kernel
+def _invert_pivots(diagonal: Vector, right: Vector, first: int, last: int) -> None:
+    """Replace a row's diagonal by 1 / pivots: each node but the last changes the next one's."""
+    taken = _ZERO
+    for i in range(first, last):
+        pivot = diagonal[i] - taken
+        inverse = _ONE / pivot if pivot > 0 else _ZERO
+        diagonal[i] = inverse
+        taken = right[i] * right[i] * inverse
 
 
 @kernel
 def factorise(lattice: Lattice, start: int, stop: int) -> None:
     """Factorise a strip's matrix by incomplete Cholesky, IC(0), row by row."""
     factors, stride = lattice.factors[start // lattice.strip], lattice.stride
+    inverse = factors[4]
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     _load_strip(lattice, factors, top, bottom)
     for y in range(top, bottom):
-        ahead = lattice.later[y & 1]
-        first = (y - top + PAD) * stride + PAD
-        for i in range(first, first + stride - 2 * PAD):
-            pivot = factors[4, i]
-            inverse = _ONE / pivot if pivot > 0 else _ZERO
-            for t in range(4):
-                a, b, c = lattice.triangles[t]
-                factors[c, i + ahead[a]] += factors[a, i] * factors[b, i] * inverse
-            for a in range(4):
-                scaled = factors[a, i] * inverse
-                factors[4, i + ahead[a]] -= factors[a, i] * scaled
-                factors[a, i] = scaled
-            factors[4, i] = inverse
+        ahead, first = lattice.later[y & 1], (y - top + PAD) * stride + PAD
+        last = first + stride - PAD
+        _invert_pivots(inverse, factors[0], first, last)
+        for t in range(4):
+            a, b, c = lattice.triangles[t]
+            for i in range(first, last, LANES):
+                fill = load(factors[a], i) * load(factors[b], i) * load(inverse, i)
+                j = i + ahead[a]
+                store(factors[c], j, load(factors[c], j) + fill)
+        for a in range(4):
+            for i in range(first, last, LANES):
+                link = load(factors[a], i)
+                scaled = link * load(inverse, i)
+                store(factors[a], i, scaled)
+                if a > 0:
+                    j = i + ahead[a]
+                    store(inverse, j, load(inverse, j) - link * scaled)
 
 
 @kernel
@@ -186,32 +212,39 @@ def smooth(
 
     Writes ``M^-1 right``, or with ``correct`` ``x + M^-1 (right - A x)``; ``out`` is not ``x``.
     """
-    stride, n = lattice.stride, lattice.stride - 2 * PAD
+    stride, n = lattice.stride, lattice.stride - PAD
     factors, z = lattice.factors[start // lattice.strip], lattice.scratch[start // lattice.strip]
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     for y in range(top, bottom):
-        k, i = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
-        row = z[i : i + n]
-        row[:] = right[k : k + n]
-        if correct:
-            _subtract_product_row(lattice, x, y, row)
-        for a in range(1, 4):
-            before = i - lattice.earlier[y & 1, a]
-            _add_product(row, factors[a, before : before + n], z[before : before + n])
-        _solve_recurrence(row, factors[0, i - 1 : i - 1 + n])
-    for y in range(bottom - 1, top - 1, -1):
-        k, i = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
-        row, inverse = z[i : i + n], factors[4, i : i + n]
-        for j in range(n):
-            row[j] *= inverse[j]
-        for a in range(1, 4):
-            after = i + lattice.later[y & 1, a]
-            _add_product(row, factors[a, i : i + n], z[after : after + n])
-        _solve_recurrence(row[::-1], factors[0, i : i + n][::-1])
-        if start <= y < stop:
-            out[k : k + n] = row
+        ahead, back = _steps(lattice.later, y), _steps(lattice.earlier, y)
+        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        for i in range(first, first + n, LANES):
+            value = load(right, k)
             if correct:
-                out[k : k + n] += x[k : k + n]
+                value = value + _flux(lattice, x, k, ahead, back)
+            value = value + _coupled(factors, i - back[0], z, i - back[0], 1)
+            value = value + _coupled(factors, i - back[1], z, i - back[1], 2)
+            value = value + _coupled(factors, i - back[2], z, i - back[2], 3)
+            store(z, i, value)
+            k += LANES
+        _solve_forward(z, factors[0], first, first + n)
+    for y in range(bottom - 1, top - 1, -1):
+        ahead = _steps(lattice.later, y)
+        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        for i in range(first, first + n, LANES):
+            value = load(z, i) * load(factors[4], i)
+            value = value + _coupled(factors, i, z, i + ahead[0], 1)
+            value = value + _coupled(factors, i, z, i + ahead[1], 2)
+            value = value + _coupled(factors, i, z, i + ahead[2], 3)
+            store(z, i, value)
+        _solve_backward(z, factors[0], first, first + n)
+        if start <= y < stop:
+            for i in range(first, first + n, LANES):
+                value = load(z, i)
+                if correct:
+                    value = value + load(x, k)
+                store(out, k, value)
+                k += LANES
 
 
 @kernel
@@ -223,6 +256,14 @@ def _dot(a: Vector, b: Vector) -> np.float32:
 
 
 @kernel
+def _largest(row: Vector) -> np.float32:
+    largest = _ZERO
+    for i in range(len(row)):
+        largest = max(largest, abs(row[i]))
+    return largest
+
+
+@kernel
 def measure(
     lattice: Lattice, z: Vector, b: Vector, sums: npt.NDArray[np.float64], start: int, stop: int
 ) -> None:
@@ -231,44 +272,38 @@ def measure(
     for y in range(start, stop):
         row = slice((y + PAD) * lattice.stride, (y + PAD + 1) * lattice.stride)
         dot += float(_dot(z[row], b[row]))
-        for value in z[row]:
-            largest = max(largest, abs(value))
+        largest = max(largest, _largest(z[row]))
     strip = start // lattice.strip
     sums[strip, 0], sums[strip, 1] = dot, largest
 
 
 @kernel
-def apply(
+def turn(
     lattice: Lattice,
-    p: Vector,
+    z: Vector,
+    share: float,
     residual: Vector,
+    p: Vector,
     Ap: Vector,
     sums: npt.NDArray[np.float64],
     start: int,
     stop: int,
 ) -> None:
-    """Write A p, and p.Ap and p.residual of a strip into ``sums[strip]``."""
-    n = lattice.stride - 2 * PAD
-    pAp, pr = 0.0, 0.0
+    """Write z + share p over p, A p alike; p.Ap, p.residual and max|p| into ``sums[strip]``."""
+    n, factor = lattice.stride - PAD, splat(np.float32(share))
+    pAp, pr, largest = 0.0, 0.0, _ZERO
     for y in range(start, stop):
-        k = (y + PAD) * lattice.stride + PAD
-        out = Ap[k : k + n]
-        out[:] = _ZERO
-        _subtract_product_row(lattice, p, y, out)
-        for i in range(n):
-            out[i] = -out[i]
-        pAp += float(_dot(p[k : k + n], out))
-        pr += float(_dot(p[k : k + n], residual[k : k + n]))
+        ahead, back = _steps(lattice.later, y), _steps(lattice.earlier, y)
+        first = (y + PAD) * lattice.stride + PAD
+        for k in range(first, first + n, LANES):
+            store(p, k, load(z, k) + factor * load(p, k))
+            store(Ap, k, factor * load(Ap, k) - _flux(lattice, z, k, ahead, back))
+        row = p[first : first + n]
+        pAp += float(_dot(row, Ap[first : first + n]))
+        pr += float(_dot(row, residual[first : first + n]))
+        largest = max(largest, _largest(row))
     strip = start // lattice.strip
-    sums[strip, 0], sums[strip, 1] = pAp, pr
-
-
-@kernel
-def turn(lattice: Lattice, z: Vector, share: float, p: Vector, start: int, stop: int) -> None:
-    """Write ``z + share p`` over p."""
-    factor = np.float32(share)
-    for i in range((start + PAD) * lattice.stride, (stop + PAD) * lattice.stride):
-        p[i] = z[i] + factor * p[i]
+    sums[strip, 0], sums[strip, 1], sums[strip, 2] = pAp, pr, largest
 
 
 @kernel

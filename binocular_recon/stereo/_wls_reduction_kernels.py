@@ -139,7 +139,7 @@ def restrict_black(
     """Write ``P^T black`` of coarse rows; ``transfer`` is that of all pixels."""
     weights, stride = transfer.weights, transfer.coarse_stride
     for cy in range(start, stop):
-        for cx in range(stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * stride + cx + PAD
             k = (2 * cy + PAD) * stride + cx + PAD
             coarse[c] = (
@@ -158,7 +158,7 @@ def prolong_black(
     """Add ``P coarse`` to the black nodes of coarse rows."""
     weights, stride = transfer.weights, transfer.coarse_stride
     for cy in range(start, stop):
-        for cx in range(stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * stride + cx + PAD
             k = (2 * cy + PAD) * stride + cx + PAD
             black[k] += coarse[c]

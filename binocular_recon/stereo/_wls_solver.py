@@ -8,6 +8,7 @@ an estimate of the largest error in px, not on a residual.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
+from binocular_recon._simd import LANES
 from binocular_recon.stereo import _wls_kernels as lattice_kernels
 from binocular_recon.stereo import _wls_reduction_kernels as reduction
 from binocular_recon.stereo import _wls_transfer_kernels as transfers
@@ -25,8 +27,11 @@ from binocular_recon.stereo._wls_transfer_kernels import Transfer
 
 _NODES_PER_STRIP = 65536
 _PATIENCE = 30  # iterations
-# A Ritz value this large is not believed before the Krylov space has this many dimensions.
-_FIRST_RITZ_VALUE, _FEW_ITERATIONS = 0.35, 3
+# The smallest eigenvalue is not taken to be larger than this after one iteration.
+_FIRST_EIGENVALUE = 0.35
+_LEAST_EIGENVALUE = 1e-6
+# The error falls by this factor less than the iteration so far lets expect.
+_SAFETY = 4.0
 # Rounding of float32, relative to the largest value.
 _ROUNDING = 1e-6
 
@@ -54,18 +59,18 @@ class _Level:
     """A lattice with the vectors that a cycle needs on it."""
 
     def __init__(self, rows: int, columns: int, *, black: bool = False) -> None:
-        stride = columns + 2 * PAD
-        nodes = (rows + 2 * PAD) * stride
-        strip = max(8, _NODES_PER_STRIP // columns)
+        stride = PAD + -(-columns // LANES) * LANES
+        nodes = (rows + 2 * PAD) * stride + LANES
+        strip = max(8, _NODES_PER_STRIP // stride)
         strip = rows if rows < 1.5 * strip else strip
-        of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride
+        of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
         strips = -(-rows // strip)
         if black:
             later = [[1, stride - 1, stride, 2 * stride], [1, stride, stride + 1, 2 * stride]]
             triangles = [[0, 2, 1], [1, 2, 0], [1, 3, 2], [2, 3, 1]]
         else:
             later = [[1, stride - 1, stride, stride + 1]] * 2
-            triangles = [[0, 2, 1], [0, 3, 2], [1, 2, 0], [2, 3, 0]]
+            triangles = [[0, 3, 2], [0, 2, 1], [1, 2, 0], [2, 3, 0]]
         earlier = later[::-1]
         self.columns = columns
         self.lattice = Lattice(
@@ -99,8 +104,8 @@ class _Level:
         self.over(lattice_kernels.residual, self.lattice, right, x, out)
 
     def sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
-        """Call a kernel that writes two numbers for each strip; return them, (strips, 2)."""
-        sums = np.zeros((len(self.lattice.factors), 2))
+        """Call a kernel that writes three numbers for each strip; return them, (strips, 3)."""
+        sums = np.zeros((len(self.lattice.factors), 3))
         self.over(function, self.lattice, *args, sums)
         return sums
 
@@ -156,6 +161,7 @@ class System:
     def _coarsen_all(self, rows: int, columns: int) -> list[_Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
         links, excess = self._picture.links, self._picture.weight
+        stride = self._picture.stride
         coarser: list[_Coarser] = []
         while max(rows, columns) > 1:
             level = _Level((rows + 1) // 2, (columns + 1) // 2)
@@ -163,7 +169,7 @@ class System:
             weights = np.zeros((6, lattice.excess.size), np.float32)
             weights[:2] = 1
             transfer = Transfer(
-                weights, rows, columns, columns + 2 * PAD, lattice.stride, diagonal=bool(coarser)
+                weights, rows, columns, stride, lattice.stride, diagonal=bool(coarser)
             )
             level.over(transfers.weigh_between, links, transfer)
             level.over(transfers.weigh_amid, links, transfer)
@@ -172,7 +178,7 @@ class System:
             level.factorise()
             coarser.append(_Coarser(level, transfer))
             links, excess = lattice.links, lattice.excess
-            rows, columns = lattice.rows, level.columns
+            rows, columns, stride = lattice.rows, level.columns, lattice.stride
         return coarser
 
     def solve(self, data: Vector, tolerance: float, initial: Vector | None = None) -> Solution:
@@ -230,36 +236,31 @@ class System:
         black.smooth(right, black.x, out, correct=True)
 
     def _iterate(self, right: Vector, x: Vector, tolerance: float) -> tuple[int, float]:
-        """Improve x by flexible conjugate gradients (Y. Notay, SIAM J. Sci. Comput. 22, 2000).
-
-        With z = M^-1 r and the smallest eigenvalue s of M^-1 A, the error is at most about
-        max|z| / s; the smallest Ritz value of the Lanczos matrix, whose entries the iteration
-        yields, tells s.
-        """
+        """Improve x by flexible conjugate gradients (Y. Notay, SIAM J. Sci. Comput. 22, 2000)."""
         black = self._black
         residual, z, p, Ap = (black.vector() for _ in range(4))
         black.residual(right, x, residual)
-        lengths: list[float] = []
-        shares: list[float] = []
+        progress = _Progress()
         errors: list[float] = []
         pAp = 1.0
         while _improves(errors):
             self._precondition(residual, z)
             sums = black.sums(lattice_kernels.measure, z, Ap)
-            share = -float(sums[:, 0].sum()) / pAp if lengths else 0.0
-            black.over(lattice_kernels.turn, black.lattice, z, share, p)
-            pAp, pr = black.sums(lattice_kernels.apply, p, residual, Ap).sum(axis=0).tolist()
+            share = -float(sums[:, 0].sum()) / pAp if errors else 0.0
+            largest = float(sums[:, 1].max())
+            sums = black.sums(lattice_kernels.turn, z, share, residual, p, Ap)
+            pAp, pr = sums[:, :2].sum(axis=0).tolist()
             if not (pAp > 0 and pr > 0):  # solved to the last digit
+                errors.append(largest)
                 break
-            lengths.append(pr / pAp)
-            shares.append(share)
-            black.over(lattice_kernels.step, black.lattice, lengths[-1], p, x)
+            length = pr / pAp
+            black.over(lattice_kernels.step, black.lattice, length, p, x)
             # anew, not updated by A p: what rounding leaves in it must not stay
             black.residual(right, x, residual)
-            errors.append(float(sums[:, 1].max()) / _smallest_ritz_value(lengths, shares))
+            errors.append(progress.error(length, share, largest, length * float(sums[:, 2].max())))
             if errors[-1] <= tolerance:
                 break
-        return len(lengths), errors[-1] if errors else 0.0
+        return len(errors), errors[-1]
 
 
 def _improves(errors: list[float]) -> bool:
@@ -268,14 +269,41 @@ def _improves(errors: list[float]) -> bool:
     return not before or min(lately) < 0.9 * min(before)
 
 
-def _smallest_ritz_value(lengths: list[float], shares: list[float]) -> float:
-    """Return the smallest eigenvalue of the Lanczos matrix of conjugate gradients."""
-    size = len(lengths)
-    matrix = np.zeros((size, size))
-    for i in range(size):
-        matrix[i, i] = 1 / lengths[i]
-        if i:
-            matrix[i, i] += shares[i] / lengths[i - 1]
-            matrix[i, i - 1] = matrix[i - 1, i] = np.sqrt(max(shares[i], 0)) / lengths[i - 1]
-    smallest = float(np.linalg.eigvalsh(matrix)[0])
-    return min(smallest, _FIRST_RITZ_VALUE) if size < _FEW_ITERATIONS else smallest
+class _Progress:
+    """What the iteration tells about the error that is left.
+
+    With z = M^-1 r and the smallest eigenvalue s of M^-1 A, the error before a step is at most
+    about max|z| / s. The step lets of it what the step before did, or what the condition number
+    of M^-1 A promises conjugate gradients, whichever is more. The eigenvalues are those of the
+    Lanczos matrix, whose entries the iteration yields; the smallest is expected to fall further.
+    """
+
+    def __init__(self) -> None:
+        self._lengths: list[float] = []
+        self._shares: list[float] = []
+        self._smallest: list[float] = []
+        self._changes: list[npt.NDArray[np.float64]] = []
+
+    def error(self, length: float, share: float, largest_z: float, largest_step: float) -> float:
+        """Return the estimated error after one more step."""
+        self._lengths.append(length)
+        self._shares.append(share)
+        self._changes.append(np.array([largest_z, largest_step]))
+        low, high = self._ritz_values()
+        self._smallest.append(low)
+        error = float(self._changes[-1].max())
+        if len(self._changes) == 1:
+            return error / min(low, _FIRST_EIGENVALUE)
+        smallest = low * (low / self._smallest[-2]) ** 2
+        root = math.sqrt(max(high, 1.0) / smallest)
+        rate = max(*self._changes[-1] / self._changes[-2], (root - 1) / (root + 1))
+        return error / smallest * min(1.0, _SAFETY * float(rate))
+
+    def _ritz_values(self) -> tuple[float, float]:
+        """Return the smallest and the largest eigenvalue of the Lanczos matrix."""
+        lengths, shares = np.array(self._lengths), np.maximum(self._shares, 0.0)[1:]
+        diagonal = 1 / lengths
+        diagonal[1:] += shares / lengths[:-1]
+        beside = np.diag(np.sqrt(shares) / lengths[:-1], 1)
+        values = np.linalg.eigvalsh(np.diag(diagonal) + beside + beside.T)
+        return max(float(values[0]), _LEAST_EIGENVALUE), float(values[-1])

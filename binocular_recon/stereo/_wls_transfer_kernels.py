@@ -60,7 +60,7 @@ def weigh_between(links: Vector, transfer: Transfer, start: int, stop: int) -> N
     stride, coarse_stride = transfer.stride, transfer.coarse_stride
     right, down_left, down, down_right = links[0], links[1], links[2], links[3]
     for cy in range(start, stop):
-        for cx in range(coarse_stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
             west = max(right[k], _ZERO) + max(down_right[k - stride], _ZERO)
@@ -82,7 +82,7 @@ def weigh_amid(links: Vector, transfer: Transfer, start: int, stop: int) -> None
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
     right, down_left, down, down_right = links[0], links[1], links[2], links[3]
     for cy in range(start, stop):
-        for cx in range(coarse_stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
             amid = k + stride + 1
@@ -145,7 +145,7 @@ def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop
     coarse_stride = transfer.coarse_stride
     cell = np.zeros(6, np.float32)
     for cy in range(start - 1, stop):
-        for cx in range(coarse_stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * transfer.stride + 2 * cx + PAD
             _gather_cell(cell, links, transfer, k, c)
@@ -165,7 +165,7 @@ def restrict(fine: Vector, transfer: Transfer, coarse: Vector, start: int, stop:
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
     across, along = weights[0], weights[1]
     for cy in range(start, stop):
-        for cx in range(coarse_stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
             above = c - coarse_stride
@@ -184,7 +184,7 @@ def prolong(coarse: Vector, transfer: Transfer, fine: Vector, start: int, stop: 
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
     for cy in range(start, stop):
         down = 2 * cy + 1 < transfer.rows
-        for cx in range(coarse_stride - 2 * PAD):
+        for cx in range((transfer.columns + 1) // 2):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
             c0, c1 = coarse[c], coarse[c + 1]
