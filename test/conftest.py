@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import os
+import signal
 import socket
 import sys
 from contextlib import suppress
@@ -42,6 +43,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     config.stash[_left_out] = []
+    # A shell ignores Ctrl-C in what it starts in the background, and processes pass that on.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if sys.prefix != sys.base_prefix:
         # Beside the sources, the numba of one environment would discard what another's compiled.
         os.environ.setdefault('NUMBA_CACHE_DIR', str(Path(sys.prefix, 'numba_cache')))
