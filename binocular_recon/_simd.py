@@ -90,19 +90,121 @@ def store(_context: Any, array: Any, _index: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), generate
 
 
+def _splat(builder: Any, vector: Any, number: Any) -> Any:
+    undefined = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(first, undefined, zeros)
+
+
 @_operation(lambda value: np.full(LANES, value))
 def splat(_context: Any, value: Any) -> Any:
     """Return the vector whose numbers all are ``value``, of that scalar's type."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = context.get_value_type(signature.return_type)
-        first = builder.insert_element(
-            ir.Constant(vector, ir.Undefined), arguments[0], ir.Constant(ir.IntType(32), 0)
-        )
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
+        return _splat(builder, context.get_value_type(signature.return_type), arguments[0])
 
     return VectorType(value)(value), generate
+
+
+def _shuffled(builder: Any, one: Any, other: Any, lanes: list[int]) -> Any:
+    """Return the vector of the given numbers of two vectors, counted through."""
+    return builder.shuffle_vector(
+        one, other, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+    )
+
+
+def _every_second(first: int) -> Callable[..., Any]:
+    """Return a code generator for the vector ``array[index + first :: 2]``."""
+
+    def generator(_context: Any, array: Any, index: Any) -> Any:
+        if not (_is_row(array) and isinstance(index, types.Integer)):
+            return None
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            halves = []
+            for offset in (0, LANES):
+                place = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
+                pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
+                align = signature.args[0].dtype.bitwidth // 8
+                halves.append(builder.load(pointer, align=align))
+            return _shuffled(builder, *halves, [2 * i + first for i in range(LANES)])
+
+        return VectorType(array.dtype)(array, types.intp), generate
+
+    return generator
+
+
+# Every second of 2 * LANES numbers from ``index``, the first or the second of each two.
+load_even = _operation(lambda array, index: array[index : index + 2 * LANES : 2].copy())(
+    _every_second(0)
+)
+load_odd = _operation(lambda array, index: array[index + 1 : index + 2 * LANES : 2].copy())(
+    _every_second(1)
+)
+
+
+def _plain_store_pairs(array: Any, index: int, even: Any, odd: Any) -> None:
+    array[index : index + 2 * LANES : 2] = even
+    array[index + 1 : index + 2 * LANES : 2] = odd
+
+
+@_operation(_plain_store_pairs)
+def store_pairs(_context: Any, array: Any, _index: Any, even: Any, odd: Any) -> Any:
+    """Write two vectors by turns to ``array[index : index + 2 * LANES]``."""
+    if not (_is_row(array) and isinstance(even, VectorType) and even == odd):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        half = LANES // 2
+        for offset in (0, LANES):
+            pairs = [(offset // 2 + i, LANES + offset // 2 + i) for i in range(half)]
+            vector = _shuffled(builder, *arguments[2:], [lane for pair in pairs for lane in pair])
+            place = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
+            pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
+            builder.store(vector, pointer, align=signature.args[0].dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, even, odd), generate
+
+
+def _plain_slide(before: Any, vector: Any, count: int) -> Any:
+    return np.concatenate([before, vector])[LANES - count : 2 * LANES - count]
+
+
+@_operation(_plain_slide)
+def slide(_context: Any, before: Any, vector: Any, count: Any) -> Any:
+    """Return the last ``count`` (a literal) numbers of ``before`` and the first of ``vector``."""
+    if not (isinstance(before, VectorType) and before == vector):
+        return None
+    if not isinstance(count, types.IntegerLiteral):
+        return None
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        first = LANES - count.literal_value
+        return _shuffled(builder, *arguments[:2], [first + i for i in range(LANES)])
+
+    return before(before, vector, count), generate
+
+
+def _element(lane: int) -> Callable[..., Any]:
+    """Return a code generator for one number of a vector."""
+
+    def generator(_context: Any, vector: Any) -> Any:
+        if not isinstance(vector, VectorType):
+            return None
+
+        def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), lane))
+
+        return vector.dtype(vector), generate
+
+    return generator
+
+
+# A vector's first and last number.
+first_of = _operation(lambda vector: vector[0])(_element(0))
+last_of = _operation(lambda vector: vector[-1])(_element(LANES - 1))
 
 
 def _call(builder: Any, name: str, result: Any, arguments: Any) -> Any:
@@ -178,6 +280,27 @@ def _reduction(signed: str, unsigned: str) -> Any:
 # Smallest and largest number of a vector of integers.
 smallest = _operation(np.min)(_reduction('smin', 'umin'))
 largest = _operation(np.max)(_reduction('smax', 'umax'))
+
+
+def _plain_first_equal(vector: Any, number: Any) -> int:
+    places = np.flatnonzero(vector == number)
+    return int(places[0]) if places.size else LANES
+
+
+@_operation(_plain_first_equal)
+def first_equal(_context: Any, vector: Any, number: Any) -> Any:
+    """Return the first place at which ``vector`` holds ``number``; `LANES` if there is none."""
+    if not (isinstance(vector, VectorType) and vector.dtype == number):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        numbers = _splat(builder, arguments[0].type, arguments[1])
+        equal = builder.icmp_unsigned('==', arguments[0], numbers)
+        mask = builder.bitcast(equal, ir.IntType(LANES))
+        place = builder.cttz(mask, ir.Constant(ir.IntType(1), 0))
+        return builder.zext(place, context.get_value_type(signature.return_type))
+
+    return types.intp(vector, number), generate
 
 
 def _shift(direction: str) -> Any:

@@ -118,6 +118,9 @@ class MatchConfig(Options):
         minimum=0,
         maximum=192,
     )
+    half_resolution: bool = option(
+        True, 'Pixels without a match take that at half resolution, where it sees most of a hole'
+    )
     texture_threshold: float = option(
         0.5,
         'Least standard deviation of a window, in grey levels of 255',
@@ -274,6 +277,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
     'paper': {
         'semi_global': False,
         'correlation_window_size': 9,
+        'half_resolution': False,
         'texture_threshold': 0.0,
         'disp12_max_diff': -1.0,
         'subpixel': False,

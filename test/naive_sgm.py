@@ -47,17 +47,9 @@ def costs(
 def aggregate(
     costs: npt.NDArray[np.int64], levels: npt.NDArray[np.int64], P1: int, P2: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the sums over four paths; ``P2`` (256) by the step of grey level.
-
-    The sums that the sweep from the top stores for the upper half, and the sweep from the bottom
-    for the lower half, lose their last bit.
-    """
-    down = _along(costs, levels, P1, P2, 0, 1) + _along(costs, levels, P1, P2, 1, 0)
-    up = _along(costs, levels, P1, P2, 0, -1) + _along(costs, levels, P1, P2, -1, 0)
-    middle = len(costs) // 2
-    down[:middle] -= down[:middle] % 2
-    up[middle:] -= up[middle:] % 2
-    return down + up
+    """Return the sums over three paths, 255 at most; ``P2`` (256) by the step of grey level."""
+    ways = ((0, 1), (0, -1), (1, 0))
+    return np.minimum(sum(_along(costs, levels, P1, P2, dy, dx) for dy, dx in ways), 255)
 
 
 def _along(

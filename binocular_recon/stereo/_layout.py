@@ -25,24 +25,19 @@ _EXACT = 2.0**24  # float32 holds every integer up to here
 _STEPS_OF_TEXTURE = 4  # per standard deviation of the least texture: rounding then is no noise
 
 
-def check_pair(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
+def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatImage]:
     """Return the pictures as float32, or raise an ImageError that says what is wrong."""
     left, right = np.asarray(left, np.float32), np.asarray(right, np.float32)
-    size = config.correlation_window_size
     if left.ndim != 2 or left.shape != right.shape:
         raise ImageError(
             f'left is {left.shape} and right {right.shape}; both must be grey pictures of the'
             ' same (rows, columns)'
         )
-    if min(left.shape) < size:
-        raise ImageError(
-            f'pictures of {left.shape[1]}x{left.shape[0]} px are smaller than the correlation'
-            f' window of {size} px; choose a smaller correlation_window_size'
-        )
     for name, image in (('left', left), ('right', right)):
-        low, high = np.fmin.reduce(image, axis=None), np.fmax.reduce(image, axis=None)
+        low, high = (
+            np.fmin.reduce(image, None, initial=np.inf),
+            np.fmax.reduce(image, None, initial=-np.inf),
+        )
         if low < -_OVERSHOOT or high > 255 + _OVERSHOOT:
             raise ImageError(
                 f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255'

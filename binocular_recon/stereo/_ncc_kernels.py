@@ -133,6 +133,7 @@ def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: 
     count = size * size
     values, squares, bad = sums[0], sums[1], sums[2]
     windows = total.size - size + 1
+    side, zero = values.dtype.type(size), values.dtype.type(0)
     sum_of = np.empty((3, total.size + LANES), sums.dtype)
     value, square, without = sum_of[0], sum_of[1], sum_of[2]
     for i in range(0, windows, LANES):
@@ -149,23 +150,28 @@ def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: 
         # count times the energy is a difference of integers: exact, 0 where the window is flat
         energy = np.float64(count) * square[i] - np.float64(value[i]) * np.float64(value[i])
         scored = without[i] == 0 and energy > 0 and energy >= least * count
-        inverse[i] = size / np.sqrt(energy) if scored else 0.0
+        square[i], without[i] = energy, scored
+    for i in range(windows):
+        inverse[i] = side / np.sqrt(square[i]) if without[i] != 0 else zero
 
 
 @kernel
 def normalise_row(pair: Pair, statistics: Statistics) -> None:
     """Fill both norms from the column sums."""
-    size, count = pair.size, pair.size * pair.size
+    size = pair.size
     left, right = statistics.left_norm, statistics.right_norm
     _window_energy(statistics.left_sums, size, pair.least_energy, left[0], left[1])
     _window_energy(statistics.right_sums, size, pair.least_energy, right[0], right[2])
     total, rest, norm, bias = right[0], right[1], right[2], right[3]
+    pixels, none = total.dtype.type(size * size), total.dtype.type(NO_SCORE)
+    half, zero = total.dtype.type(0.5), total.dtype.type(0)
+    share = total.dtype.type(1) / pixels
     for i in range(total.size):
-        whole = np.floor(total[i] / count + 0.5)
-        rest[i] = (total[i] - whole * count) / count
+        whole = np.floor(total[i] * share + half)
+        rest[i] = (total[i] - whole * pixels) * share
         total[i] = whole
     for i in range(total.size):
-        bias[i] = 0 if norm[i] > 0 else NO_SCORE
+        bias[i] = zero if norm[i] > 0 else none
 
 
 @kernel

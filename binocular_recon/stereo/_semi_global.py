@@ -8,15 +8,8 @@ import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
-from binocular_recon.stereo._aggregation_kernels import (
-    Decision,
-    Penalties,
-    Volume,
-    aggregate_rows,
-    cost_strip,
-    decide_rows,
-    new_sweep,
-)
+from binocular_recon.stereo._aggregation_kernels import Decision, Penalties, match_strip
+from binocular_recon.stereo._cost_kernels import CostSource
 from binocular_recon.stereo._layout import lay_out, padded_range
 
 FloatImage = npt.NDArray[np.float32]
@@ -29,6 +22,8 @@ NOISE = 2.0
 # `GENTLE_STEP`, then as 1 / step, down to `LEAST_P2` of it.
 GENTLE_STEP = 16.0
 LEAST_P2 = 1 / 3
+# Rows of a pair of strips, at most.
+STRIP_PAIR = 192
 
 
 def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
@@ -42,27 +37,12 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
     Notes
     -----
     H. Hirschmueller, "Stereo processing by semiglobal matching and mutual information", PAMI
-    2008. The cost is 1 - NCC instead of mutual information, along four paths instead of eight:
-    with this cost eight were no better.
+    2008. The cost is 1 - NCC instead of mutual information, along three paths instead of eight:
+    both ways along the row and from the top. So rows pass once, without a volume of costs.
 
     """
     height, width = left.shape
-    padded = padded_range(config)
-    size = config.correlation_window_size
-    big, steps = lay_out(left, right, config, size // 2)
-    small = big._replace(size=max(size - 2, 3), least_energy=0.0)
-    # a window of 3 has no smaller one inside
-    gain = _exposure_gain(left)
-    noise = (NOISE / gain * steps * small.size) ** 2 if size > small.size else np.inf
-    volume = Volume(
-        np.empty(height * width * padded, np.uint8),
-        np.zeros((height, width), np.bool_),
-        padded,
-        config.disparity_range,
-    )
-    over_strips(
-        lambda start, stop: cost_strip(big, small, noise, volume, start, stop), height, strip=48
-    )
+    source = _cost_source(left, right, config)
     decision = Decision(
         config.min_disparity,
         config.disp12_max_diff,
@@ -70,9 +50,29 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
     )
-    levels = np.nan_to_num(left * gain).clip(0, 255).astype(np.uint8)
-    _sweep(volume, levels, _penalties(config), decision)
+    levels = np.nan_to_num(left * _exposure_gain(left)).clip(0, 255).astype(np.uint8)
+    penalties = _penalties(config)
+    over_strips(
+        lambda start, stop: match_strip(source, levels, penalties, decision, start, stop),
+        height,
+        strip=-(-height // (2 * -(-height // STRIP_PAIR))),
+    )
     return decision.disparity
+
+
+def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> CostSource:
+    size = config.correlation_window_size
+    big, steps = lay_out(left, right, config, size // 2)
+    small = big._replace(size=max(size - 2, 3), least_energy=0.0)
+    noise = NOISE / _exposure_gain(left) * steps * small.size
+    return CostSource(
+        big,
+        small,
+        # a window of 3 has no smaller one inside
+        noise**2 if size > small.size else np.inf,
+        config.disparity_range,
+        padded_range(config),
+    )
 
 
 def _exposure_gain(left: FloatImage) -> float:
@@ -83,32 +83,7 @@ def _exposure_gain(left: FloatImage) -> float:
 
 
 def _penalties(config: MatchConfig) -> Penalties:
+    # paths count in eighths of a cost, options in quarters
+    P1, P2 = config.P1 // 2, config.P2 / 2
     step = np.maximum(np.arange(256) / GENTLE_STEP, 1)
-    return Penalties(
-        config.P1, np.maximum(config.P2 / step, config.P2 * LEAST_P2).astype(np.uint8)
-    )
-
-
-def _sweep(
-    volume: Volume, levels: npt.NDArray[np.uint8], penalties: Penalties, decision: Decision
-) -> None:
-    """Sweep from the top and from the bottom at the same time, to the middle and beyond."""
-    height, width = levels.shape
-    middle = height // 2
-    halves = [(0, middle), (middle, height)]
-    sweeps = [new_sweep(width, volume.padded, True), new_sweep(width, volume.padded, False)]
-    partial = [
-        np.empty((stop - start) * width * volume.padded, np.uint8) for start, stop in halves
-    ]
-
-    def to_the_middle(first: int, _stop: int) -> None:
-        aggregate_rows(volume, levels, penalties, sweeps[first], partial[first], *halves[first])
-
-    def beyond(first: int, _stop: int) -> None:
-        other = 1 - first
-        decide_rows(
-            volume, levels, penalties, sweeps[first], partial[other], *halves[other], decision
-        )
-
-    over_strips(to_the_middle, 2, strip=1)
-    over_strips(beyond, 2, strip=1)
+    return Penalties(P1, np.maximum(P2 / step, P2 * LEAST_P2).astype(np.uint8))

@@ -14,6 +14,7 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._layout import check_pair, lay_out
 from binocular_recon.stereo._ncc_kernels import Selection, score_strip, select_strip
+from binocular_recon.stereo.half_resolution import fill_from_half, half_config, halve
 from binocular_recon.stereo.refinement import smooth
 
 FloatImage = npt.NDArray[np.float32]
@@ -76,28 +77,41 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     Returns
     -------
     Match
-        Disparity of each pixel whose match passes every check.
+        Disparity of each pixel whose match passes every check; none in pictures smaller than the
+        window.
 
     Raises
     ------
     ImageError
-        If the pictures differ in size, are smaller than the window, or are not grey levels
-        of 255.
+        If the pictures differ in size or are not grey levels of 255.
 
     Notes
     -----
     Eq. 10 with both windows sampled at x - d in the right picture; winner takes all.
 
     """
-    left, right = check_pair(left, right, config)
+    left, right = check_pair(left, right)
+    disparity, sigma = _measure(left, right, config)
+    if config.half_resolution:
+        half = _measure(halve(left), halve(right), half_config(config))
+        fill_from_half(disparity, sigma, *half, config.speckle_size)
+    if not config.subpixel:
+        return Match(disparity, np.isfinite(disparity).astype(np.float32))
+    disparity = np.rint(disparity / SUBPIXEL_STEP_PX) * np.float32(SUBPIXEL_STEP_PX)
+    return Match(disparity, confidence_from_sigma(sigma))
+
+
+def _measure(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return the disparity and its standard deviation at one resolution."""
+    if min(left.shape) < config.correlation_window_size:
+        nothing = np.full(left.shape, np.nan, np.float32)
+        return nothing, nothing.copy()
     choose = _semi_global.select_disparities if config.semi_global else _select_local
     disparity = choose(left, right, config)
     _drop_speckles(disparity, config)
-    if not config.subpixel:
-        return Match(disparity, np.isfinite(disparity).astype(np.float32))
-    disparity, sigma = smooth(disparity)
-    disparity = np.rint(disparity / SUBPIXEL_STEP_PX) * np.float32(SUBPIXEL_STEP_PX)
-    return Match(disparity, confidence_from_sigma(sigma))
+    return smooth(disparity) if config.subpixel else (disparity, np.zeros_like(disparity))
 
 
 def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
@@ -141,9 +155,11 @@ def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> Floa
         As for `match`.
 
     """
-    left, right = check_pair(left, right, config)
-    pair, _ = lay_out(left, right, config, 0)
+    left, right = check_pair(left, right)
     scores = np.full((*left.shape, config.disparity_range), np.nan, np.float32)
+    if min(left.shape) < config.correlation_window_size:
+        return scores
+    pair, _ = lay_out(left, right, config, 0)
     over_strips(lambda start, stop: score_strip(pair, scores, start, stop), len(left), strip=48)
     return scores
 

@@ -10,8 +10,7 @@ import pytest
 
 from binocular_recon.config import MatchConfig
 from binocular_recon.stereo import _semi_global
-from binocular_recon.stereo._aggregation_kernels import Volume, cost_strip
-from binocular_recon.stereo._layout import lay_out, padded_range
+from binocular_recon.stereo._cost_kernels import new_cost_rows, next_cost_row
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel
@@ -29,30 +28,21 @@ def pair(height: int, width: int, seed: int = 0) -> tuple[FloatImage, FloatImage
     return left, right
 
 
-def volume(left: FloatImage, right: FloatImage, config: MatchConfig) -> Volume:
-    """Return the costs as the matcher computes them."""
-    size = config.correlation_window_size
-    padded = padded_range(config)
-    big, steps = lay_out(left, right, config, size // 2)
-    small = big._replace(size=max(size - 2, 3), least_energy=0.0)
-    noise_level = _semi_global.NOISE / _semi_global._exposure_gain(left)
-    noise = (noise_level * steps * small.size) ** 2 if size > small.size else np.inf
-    shape = left.shape
-    result = Volume(
-        np.zeros(shape[0] * shape[1] * padded, np.uint8),
-        np.zeros(shape, np.bool_),
-        padded,
-        config.disparity_range,
-    )
-    for start in range(0, shape[0], 5):
-        cost_strip(big, small, noise, result, start, min(start + 5, shape[0]))
-    return result
-
-
-def unpadded(costs: Volume) -> npt.NDArray[np.int64]:
-    """Return the costs as (H, W, D)."""
-    whole = costs.costs.reshape(*costs.scored.shape, costs.padded)
-    return whole[:, :, : costs.disparities].astype(np.int64)
+def volume(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the costs (H, W, D) and which pixels have any, as the matcher computes them."""
+    source = _semi_global._cost_source(left, right, config)
+    height, width = left.shape
+    costs = np.empty((height, width * source.padded), np.uint8)
+    scored = np.zeros((height, width), np.bool_)
+    for first in range(0, height, 5):
+        rows = new_cost_rows(source)
+        for y in range(first, min(first + 5, height)):
+            scored[y] = next_cost_row(source, rows, y, first, costs[y])[:width]
+    whole = costs.reshape(height, width, source.padded)
+    assert (whole[:, :, config.disparity_range :] == 252).all()
+    return whole[:, :, : config.disparity_range].astype(np.int64), scored
 
 
 @pytest.mark.parametrize(
@@ -71,9 +61,9 @@ def test_costs_equal_the_naive_twin(size: int, first: int, count: int, fine: boo
     )
     noise = _semi_global.NOISE / _semi_global._exposure_gain(left)
     expected, scored = naive_sgm.costs(left, right, size, first, count, noise)
-    found = volume(left, right, config)
-    np.testing.assert_array_equal(found.scored, scored)
-    assert np.abs(unpadded(found) - expected).max() < 0.6  # 0.5 of it rounding
+    found, has = volume(left, right, config)
+    np.testing.assert_array_equal(has, scored)
+    assert np.abs(found - expected).max() < 0.6  # 0.5 of it rounding
 
 
 @pytest.mark.parametrize(
@@ -88,15 +78,13 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
         texture_threshold=0.0,
         subpixel=False,
     )
-    costs = volume(left, right, config)
+    costs, scored = volume(left, right, config)
     gain = _semi_global._exposure_gain(left)
     levels = np.nan_to_num(left * gain).clip(0, 255).astype(np.int64)
     penalties = _semi_global._penalties(config)
-    total = naive_sgm.aggregate(
-        unpadded(costs) >> 2, levels, penalties.P1, penalties.P2.astype(np.int64)
-    )
+    total = naive_sgm.aggregate(costs >> 3, levels, penalties.P1, penalties.P2.astype(np.int64))
     expected = naive_sgm.choose(total, first, tolerance)
-    expected[~costs.scored] = np.nan
+    expected[~scored] = np.nan
     disparity = _semi_global.select_disparities(left, right, config)
     np.testing.assert_array_equal(disparity, expected)
     assert 0.3 < np.isfinite(expected).mean() < 1
