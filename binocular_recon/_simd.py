@@ -107,11 +107,9 @@ def splat(_context: Any, value: Any) -> Any:
     return VectorType(value)(value), generate
 
 
-def _shuffled(builder: Any, one: Any, other: Any, lanes: list[int]) -> Any:
+def _shuffled(builder: Any, pair: Any, lanes: list[int]) -> Any:
     """Return the vector of the given numbers of two vectors, counted through."""
-    return builder.shuffle_vector(
-        one, other, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-    )
+    return builder.shuffle_vector(*pair, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
 
 
 def _every_second(first: int) -> Callable[..., Any]:
@@ -128,7 +126,7 @@ def _every_second(first: int) -> Callable[..., Any]:
                 pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
                 align = signature.args[0].dtype.bitwidth // 8
                 halves.append(builder.load(pointer, align=align))
-            return _shuffled(builder, *halves, [2 * i + first for i in range(LANES)])
+            return _shuffled(builder, halves, [2 * i + first for i in range(LANES)])
 
         return VectorType(array.dtype)(array, types.intp), generate
 
@@ -159,7 +157,7 @@ def store_pairs(_context: Any, array: Any, _index: Any, even: Any, odd: Any) -> 
         half = LANES // 2
         for offset in (0, LANES):
             pairs = [(offset // 2 + i, LANES + offset // 2 + i) for i in range(half)]
-            vector = _shuffled(builder, *arguments[2:], [lane for pair in pairs for lane in pair])
+            vector = _shuffled(builder, arguments[2:], [lane for pair in pairs for lane in pair])
             place = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
             pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
             builder.store(vector, pointer, align=signature.args[0].dtype.bitwidth // 8)
@@ -182,7 +180,7 @@ def slide(_context: Any, before: Any, vector: Any, count: Any) -> Any:
 
     def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         first = LANES - count.literal_value
-        return _shuffled(builder, *arguments[:2], [first + i for i in range(LANES)])
+        return _shuffled(builder, arguments[:2], [first + i for i in range(LANES)])
 
     return before(before, vector, count), generate
 

@@ -16,10 +16,19 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import inline_kernel, kernel, ordered_kernel
-from binocular_recon._simd import LANES, larger, load, splat, store
+from binocular_recon._simd import (
+    LANES,
+    at_most,
+    first_of,
+    larger,
+    last_of,
+    load,
+    slide,
+    splat,
+    store,
+)
 
 Vector = npt.NDArray[np.float32]
-Quad = tuple[np.float32, np.float32, np.float32, np.float32]
 Steps = tuple[Any, Any, Any]
 
 PAD = 2
@@ -27,6 +36,7 @@ PAD = 2
 OVERLAP = 4
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
+_NEGLIGIBLE = np.float32(1e-18)
 
 
 class Lattice(NamedTuple):
@@ -47,8 +57,8 @@ class Lattice(NamedTuple):
         nodes that link here.
     triangles : (4, 3) int64
         Links a and b of a node and the link c that joins their ends.
-    rows, stride, strip : int
-        Rows, floats per padded row, rows per strip.
+    rows, width, stride, strip : int
+        Rows, columns up to a whole vector, floats per padded row, rows per strip.
 
     """
 
@@ -60,6 +70,7 @@ class Lattice(NamedTuple):
     earlier: npt.NDArray[np.int64]
     triangles: npt.NDArray[np.int64]
     rows: int
+    width: int
     stride: int
     strip: int
 
@@ -92,48 +103,56 @@ def _coupled(factors: Vector, i: int, z: Vector, j: int, a: int) -> Any:
     return load(factors[a], i) * load(z, j)
 
 
-@ordered_kernel
-def _compose(z: Vector, i: int, factor: Vector, k: int, way: int) -> tuple[Quad, Quad]:
-    """Return a, b with ``z[i + way * j]`` to become ``b[j] + a[j] * before``."""
-    f1, f2, f3 = factor[k + way], factor[k + 2 * way], factor[k + 3 * way]
-    a0, b0 = factor[k], z[i]
-    a1, b1 = f1 * a0, z[i + way] + f1 * b0
-    a2, b2 = f2 * a1, z[i + 2 * way] + f2 * b1
-    a3, b3 = f3 * a2, z[i + 3 * way] + f3 * b2
-    return (a0, a1, a2, a3), (b0, b1, b2, b3)
+@inline_kernel
+def _settled(share: Any) -> Any:
+    """Return the vector without what is next to nothing and would underflow when multiplied."""
+    return at_most(share, splat(_NEGLIGIBLE), splat(_ZERO), share)
 
 
-@ordered_kernel
+@inline_kernel
 def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
     """Replace z[i] by z[i] + factor[i - 1] * z[i - 1], in turn.
 
-    Eight at a time, so that only two multiplications in eight wait for the one before.
+    A vector at a time by doubling: after the step of ``d``, value and share of a node tell what
+    it gets from the ``2 d`` nodes up to it.
     """
-    before = _ZERO
-    for i in range(first, last, 8):
-        a, b = _compose(z, i, factor, i - 1, 1)
-        c, d = _compose(z, i + 4, factor, i + 3, 1)
-        middle = b[3] + a[3] * before
-        z[i], z[i + 1] = b[0] + a[0] * before, b[1] + a[1] * before
-        z[i + 2], z[i + 3] = b[2] + a[2] * before, middle
-        before = d[3] + c[3] * middle
-        z[i + 4], z[i + 5] = d[0] + c[0] * middle, d[1] + c[1] * middle
-        z[i + 6], z[i + 7] = d[2] + c[2] * middle, before
+    zero, one, before = splat(_ZERO), splat(_ONE), splat(_ZERO)
+    for i in range(first, last, LANES):
+        value, share = load(z, i), load(factor, i - 1)
+        value = value + share * slide(zero, value, 1)
+        share = share * slide(one, share, 1)
+        value = value + share * slide(zero, value, 2)
+        share = share * slide(one, share, 2)
+        value = value + share * slide(zero, value, 4)
+        share = _settled(share * slide(one, share, 4))
+        value = value + share * slide(zero, value, 8)
+        share = _settled(share * slide(one, share, 8))
+        value = value + share * slide(zero, value, 16)
+        share = share * slide(one, share, 16)
+        value = value + share * before
+        store(z, i, value)
+        before = splat(last_of(value))
 
 
-@ordered_kernel
+@inline_kernel
 def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
     """Replace z[i] by z[i] + factor[i] * z[i + 1], in turn from the last."""
-    before = _ZERO
-    for i in range(last - 1, first - 1, -8):
-        a, b = _compose(z, i, factor, i, -1)
-        c, d = _compose(z, i - 4, factor, i - 4, -1)
-        middle = b[3] + a[3] * before
-        z[i], z[i - 1] = b[0] + a[0] * before, b[1] + a[1] * before
-        z[i - 2], z[i - 3] = b[2] + a[2] * before, middle
-        before = d[3] + c[3] * middle
-        z[i - 4], z[i - 5] = d[0] + c[0] * middle, d[1] + c[1] * middle
-        z[i - 6], z[i - 7] = d[2] + c[2] * middle, before
+    zero, one, after = splat(_ZERO), splat(_ONE), splat(_ZERO)
+    for i in range(last - LANES, first - 1, -LANES):
+        value, share = load(z, i), load(factor, i)
+        value = value + share * slide(value, zero, 31)
+        share = share * slide(share, one, 31)
+        value = value + share * slide(value, zero, 30)
+        share = share * slide(share, one, 30)
+        value = value + share * slide(value, zero, 28)
+        share = _settled(share * slide(share, one, 28))
+        value = value + share * slide(value, zero, 24)
+        share = _settled(share * slide(share, one, 24))
+        value = value + share * slide(value, zero, 16)
+        share = share * slide(share, one, 16)
+        value = value + share * after
+        store(z, i, value)
+        after = splat(first_of(value))
 
 
 @kernel
@@ -144,7 +163,7 @@ def residual(
     for y in range(start, stop):
         ahead, back = _steps(lattice.later, y), _steps(lattice.earlier, y)
         first = (y + PAD) * lattice.stride + PAD
-        for k in range(first, first + lattice.stride - PAD, LANES):
+        for k in range(first, first + lattice.width, LANES):
             store(out, k, load(right, k) + _flux(lattice, x, k, ahead, back))
 
 
@@ -156,7 +175,7 @@ def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> Non
     for y in range(top, bottom):
         back = lattice.earlier[y & 1]
         k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
-        for i in range(first, first + stride - PAD, LANES):
+        for i in range(first, first + lattice.width, LANES):
             total = load(lattice.excess, k)
             for a in range(4):
                 link = larger(load(links[a], k), zero)
@@ -186,7 +205,7 @@ def factorise(lattice: Lattice, start: int, stop: int) -> None:
     _load_strip(lattice, factors, top, bottom)
     for y in range(top, bottom):
         ahead, first = lattice.later[y & 1], (y - top + PAD) * stride + PAD
-        last = first + stride - PAD
+        last = first + lattice.width
         _invert_pivots(inverse, factors[0], first, last)
         for t in range(4):
             a, b, c = lattice.triangles[t]
@@ -212,7 +231,7 @@ def smooth(
 
     Writes ``M^-1 right``, or with ``correct`` ``x + M^-1 (right - A x)``; ``out`` is not ``x``.
     """
-    stride, n = lattice.stride, lattice.stride - PAD
+    stride, n = lattice.stride, lattice.width
     factors, z = lattice.factors[start // lattice.strip], lattice.scratch[start // lattice.strip]
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     for y in range(top, bottom):
@@ -247,19 +266,26 @@ def smooth(
                 k += LANES
 
 
-@kernel
-def _dot(a: Vector, b: Vector) -> np.float32:
-    total = _ZERO
-    for i in range(len(a)):
-        total += a[i] * b[i]
+@inline_kernel
+def _larger_size(largest: Any, value: Any) -> Any:
+    return larger(largest, larger(value, splat(_ZERO) - value))
+
+
+@inline_kernel
+def _sum(vector: Any, space: Vector) -> float:
+    store(space, 0, vector)
+    total = 0.0
+    for i in range(LANES):
+        total += float(space[i])
     return total
 
 
-@kernel
-def _largest(row: Vector) -> np.float32:
-    largest = _ZERO
-    for i in range(len(row)):
-        largest = max(largest, abs(row[i]))
+@inline_kernel
+def _largest(vector: Any, space: Vector) -> float:
+    store(space, 0, vector)
+    largest = 0.0
+    for i in range(LANES):
+        largest = max(largest, float(space[i]))
     return largest
 
 
@@ -268,13 +294,16 @@ def measure(
     lattice: Lattice, z: Vector, b: Vector, sums: npt.NDArray[np.float64], start: int, stop: int
 ) -> None:
     """Write z.b and max|z| of a strip into ``sums[strip]``."""
-    dot, largest = 0.0, _ZERO
+    dot, largest, space = 0.0, splat(_ZERO), np.empty(LANES, np.float32)
     for y in range(start, stop):
-        row = slice((y + PAD) * lattice.stride, (y + PAD + 1) * lattice.stride)
-        dot += float(_dot(z[row], b[row]))
-        largest = max(largest, _largest(z[row]))
+        first, products = (y + PAD) * lattice.stride + PAD, splat(_ZERO)
+        for k in range(first, first + lattice.width, LANES):
+            value = load(z, k)
+            products = products + value * load(b, k)
+            largest = _larger_size(largest, value)
+        dot += _sum(products, space)
     strip = start // lattice.strip
-    sums[strip, 0], sums[strip, 1] = dot, largest
+    sums[strip, 0], sums[strip, 1] = dot, _largest(largest, space)
 
 
 @kernel
@@ -290,25 +319,30 @@ def turn(
     stop: int,
 ) -> None:
     """Write z + share p over p, A p alike; p.Ap, p.residual and max|p| into ``sums[strip]``."""
-    n, factor = lattice.stride - PAD, splat(np.float32(share))
-    pAp, pr, largest = 0.0, 0.0, _ZERO
+    factor, zero, space = splat(np.float32(share)), splat(_ZERO), np.empty(LANES, np.float32)
+    pAp, pr, largest = 0.0, 0.0, zero
     for y in range(start, stop):
         ahead, back = _steps(lattice.later, y), _steps(lattice.earlier, y)
-        first = (y + PAD) * lattice.stride + PAD
-        for k in range(first, first + n, LANES):
-            store(p, k, load(z, k) + factor * load(p, k))
-            store(Ap, k, factor * load(Ap, k) - _flux(lattice, z, k, ahead, back))
-        row = p[first : first + n]
-        pAp += float(_dot(row, Ap[first : first + n]))
-        pr += float(_dot(row, residual[first : first + n]))
-        largest = max(largest, _largest(row))
+        first, energy, gain = (y + PAD) * lattice.stride + PAD, zero, zero
+        for k in range(first, first + lattice.width, LANES):
+            value = load(z, k) + factor * load(p, k)
+            product = factor * load(Ap, k) - _flux(lattice, z, k, ahead, back)
+            store(p, k, value)
+            store(Ap, k, product)
+            energy = energy + value * product
+            gain = gain + value * load(residual, k)
+            largest = _larger_size(largest, value)
+        pAp += _sum(energy, space)
+        pr += _sum(gain, space)
     strip = start // lattice.strip
-    sums[strip, 0], sums[strip, 1], sums[strip, 2] = pAp, pr, largest
+    sums[strip, 0], sums[strip, 1], sums[strip, 2] = pAp, pr, _largest(largest, space)
 
 
 @kernel
 def step(lattice: Lattice, length: float, p: Vector, x: Vector, start: int, stop: int) -> None:
     """Add ``length p`` to x."""
-    factor = np.float32(length)
-    for i in range((start + PAD) * lattice.stride, (stop + PAD) * lattice.stride):
-        x[i] += factor * p[i]
+    factor = splat(np.float32(length))
+    for y in range(start, stop):
+        first = (y + PAD) * lattice.stride + PAD
+        for k in range(first, first + lattice.width, LANES):
+            store(x, k, load(x, k) + factor * load(p, k))

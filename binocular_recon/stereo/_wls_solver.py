@@ -55,12 +55,17 @@ class Solution(NamedTuple):
     error_estimate: float
 
 
+def _stride(columns: int) -> int:
+    """Return the floats of a row of nodes: a pad and whole pairs of vectors."""
+    return PAD + -(-columns // (2 * LANES)) * 2 * LANES
+
+
 class _Level:
     """A lattice with the vectors that a cycle needs on it."""
 
     def __init__(self, rows: int, columns: int, *, black: bool = False) -> None:
-        stride = PAD + -(-columns // LANES) * LANES
-        nodes = (rows + 2 * PAD) * stride + LANES
+        stride = _stride(columns)
+        nodes = (rows + 2 * PAD) * stride + 2 * LANES
         strip = max(8, _NODES_PER_STRIP // stride)
         strip = rows if rows < 1.5 * strip else strip
         of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
@@ -82,6 +87,7 @@ class _Level:
             earlier=np.array(earlier),
             triangles=np.array(triangles),
             rows=rows,
+            width=-(-columns // LANES) * LANES,
             stride=stride,
             strip=strip,
         )
@@ -135,8 +141,8 @@ class System:
     def __init__(self, weight: Vector, link_x: Vector, link_y: Vector) -> None:
         rows, columns = weight.shape
         self._black = _Level(rows, (columns + 1) // 2, black=True)
-        stride = columns + 2 * PAD
-        padded = (rows + 2 * PAD) * stride
+        stride = _stride(columns)
+        padded = (rows + 2 * PAD) * stride + 2 * LANES
         self._picture = Picture(
             links=np.zeros((4, padded), np.float32),
             weight=np.zeros(padded, np.float32),
@@ -156,7 +162,9 @@ class System:
 
     def _pixels(self, padded: Vector) -> Vector:
         """View padded pixels as a picture."""
-        return padded.reshape(-1, self._picture.stride)[PAD:-PAD, PAD:-PAD]
+        picture = self._picture
+        rows = padded[: -2 * LANES].reshape(-1, picture.stride)
+        return rows[PAD:-PAD, PAD : PAD + picture.columns]
 
     def _coarsen_all(self, rows: int, columns: int) -> list[_Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""

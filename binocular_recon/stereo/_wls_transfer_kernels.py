@@ -14,12 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from binocular_recon._jit import inline_kernel, kernel
+from binocular_recon._simd import (
+    LANES,
+    at_most,
+    larger,
+    load,
+    load_even,
+    load_odd,
+    splat,
+    store,
+    store_pairs,
+)
 from binocular_recon.stereo._wls_kernels import PAD, Vector
 
 Real = np.floating[Any] | float
 
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
+_TINY = np.float32(1e-30)
 
 
 class Transfer(NamedTuple):
@@ -49,31 +61,37 @@ class Transfer(NamedTuple):
 
 
 @inline_kernel
-def _share(one: float, other: float) -> np.float32:
-    total = one + other
-    return np.float32(one / total) if total > 0 else _ONE
+def _even(links: Vector, k: int) -> Any:
+    """Return links k, k + 2, ...; a negative one counts as none."""
+    return larger(load_even(links, k), splat(_ZERO))
+
+
+@inline_kernel
+def _share(one: Any, other: Any) -> Any:
+    """Return ``one / (one + other)``, 1 if both are 0."""
+    total, zero = one + other, splat(_ZERO)
+    return at_most(total, zero, splat(_ONE), one / larger(total, splat(_TINY)))
 
 
 @kernel
 def weigh_between(links: Vector, transfer: Transfer, start: int, stop: int) -> None:
     """Write the weights of fine nodes between two coarse ones, for coarse rows."""
-    stride, coarse_stride = transfer.stride, transfer.coarse_stride
+    stride = transfer.stride
     right, down_left, down, down_right = links[0], links[1], links[2], links[3]
     for cy in range(start, stop):
-        for cx in range((transfer.columns + 1) // 2):
-            c = (cy + PAD) * coarse_stride + cx + PAD
+        for cx in range(0, (transfer.columns + 1) // 2, LANES):
+            c = (cy + PAD) * transfer.coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
-            west = max(right[k], _ZERO) + max(down_right[k - stride], _ZERO)
-            west += max(down_left[k + 1], _ZERO)
-            east = max(right[k + 1], _ZERO) + max(down_left[k - stride + 2], _ZERO)
-            east += max(down_right[k + 1], _ZERO)
-            transfer.weights[0, c] = _share(west, east)
-            north = max(down[k], _ZERO) + max(down_right[k - 1], _ZERO)
-            north += max(down_left[k + 1], _ZERO)
             below = k + stride
-            south = max(down[below], _ZERO) + max(down_left[below], _ZERO)
-            south += max(down_right[below], _ZERO)
-            transfer.weights[1, c] = _share(north, south)
+            west, east = _even(right, k), _even(right, k + 1)
+            north, south = _even(down, k), _even(down, below)
+            if transfer.diagonal:
+                west = west + _even(down_right, k - stride) + _even(down_left, k + 1)
+                east = east + _even(down_left, k - stride + 2) + _even(down_right, k + 1)
+                north = north + _even(down_right, k - 1) + _even(down_left, k + 1)
+                south = south + _even(down_left, below) + _even(down_right, below)
+            store(transfer.weights[0], c, _share(west, east))
+            store(transfer.weights[1], c, _share(north, south))
 
 
 @kernel
@@ -81,23 +99,27 @@ def weigh_amid(links: Vector, transfer: Transfer, start: int, stop: int) -> None
     """Write the weights of fine nodes amid four coarse ones, for coarse rows."""
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
     right, down_left, down, down_right = links[0], links[1], links[2], links[3]
+    one, zero = splat(_ONE), splat(_ZERO)
     for cy in range(start, stop):
-        for cx in range((transfer.columns + 1) // 2):
+        for cx in range(0, (transfer.columns + 1) // 2, LANES):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
             amid = k + stride + 1
-            north, south = max(down[k + 1], _ZERO), max(down[amid], _ZERO)
-            west, east = max(right[amid - 1], _ZERO), max(right[amid], _ZERO)
-            nw, ne = max(down_right[k], _ZERO), max(down_left[k + 2], _ZERO)
-            sw, se = max(down_left[amid], _ZERO), max(down_right[amid], _ZERO)
-            top, bottom = weights[0, c], weights[0, c + coarse_stride]
-            left, other = weights[1, c], weights[1, c + 1]
-            total = north + south + west + east + nw + ne + sw + se
-            inverse = _ONE / total if total > 0 else _ZERO
-            weights[2, c] = (nw + north * top + west * left) * inverse
-            weights[3, c] = (ne + north * (_ONE - top) + east * other) * inverse
-            weights[4, c] = (sw + south * bottom + west * (_ONE - left)) * inverse
-            weights[5, c] = (se + south * (_ONE - bottom) + east * (_ONE - other)) * inverse
+            north, south = _even(down, k + 1), _even(down, amid)
+            west, east = _even(right, amid - 1), _even(right, amid)
+            total = north + south + west + east
+            nw = ne = sw = se = zero
+            if transfer.diagonal:
+                nw, ne = _even(down_right, k), _even(down_left, k + 2)
+                sw, se = _even(down_left, amid), _even(down_right, amid)
+                total = total + nw + ne + sw + se
+            inverse = at_most(total, zero, zero, one / larger(total, splat(_TINY)))
+            top, bottom = load(weights[0], c), load(weights[0], c + coarse_stride)
+            left, other = load(weights[1], c), load(weights[1], c + 1)
+            store(weights[2], c, (nw + north * top + west * left) * inverse)
+            store(weights[3], c, (ne + north * (one - top) + east * other) * inverse)
+            store(weights[4], c, (sw + south * bottom + west * (one - left)) * inverse)
+            store(weights[5], c, (se + south * (one - bottom) + east * (one - other)) * inverse)
 
 
 @inline_kernel
@@ -163,42 +185,43 @@ def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop
 def restrict(fine: Vector, transfer: Transfer, coarse: Vector, start: int, stop: int) -> None:
     """Write ``P^T fine`` of coarse rows."""
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
-    across, along = weights[0], weights[1]
+    across, along, one = weights[0], weights[1], splat(_ONE)
     for cy in range(start, stop):
-        for cx in range((transfer.columns + 1) // 2):
+        for cx in range(0, (transfer.columns + 1) // 2, LANES):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
-            above = c - coarse_stride
-            value = fine[k] + across[c] * fine[k + 1] + (_ONE - across[c - 1]) * fine[k - 1]
-            value += along[c] * fine[k + stride] + (_ONE - along[above]) * fine[k - stride]
-            value += weights[2, c] * fine[k + stride + 1]
-            value += weights[3, c - 1] * fine[k + stride - 1]
-            value += weights[4, above] * fine[k - stride + 1]
-            value += weights[5, above - 1] * fine[k - stride - 1]
-            coarse[c] = value
+            above, before, after = c - coarse_stride, k - stride, k + stride
+            value = load_even(fine, k) + load(across, c) * load_odd(fine, k)
+            value = value + (one - load(across, c - 1)) * load_odd(fine, k - 2)
+            value = value + load(along, c) * load_even(fine, after)
+            value = value + (one - load(along, above)) * load_even(fine, before)
+            value = value + load(weights[2], c) * load_odd(fine, after)
+            value = value + load(weights[3], c - 1) * load_odd(fine, after - 2)
+            value = value + load(weights[4], above) * load_odd(fine, before)
+            value = value + load(weights[5], above - 1) * load_odd(fine, before - 2)
+            store(coarse, c, value)
 
 
 @kernel
 def prolong(coarse: Vector, transfer: Transfer, fine: Vector, start: int, stop: int) -> None:
     """Add ``P coarse`` to the fine nodes of coarse rows."""
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
+    one = splat(_ONE)
     for cy in range(start, stop):
-        down = 2 * cy + 1 < transfer.rows
-        for cx in range((transfer.columns + 1) // 2):
+        for cx in range(0, (transfer.columns + 1) // 2, LANES):
             c = (cy + PAD) * coarse_stride + cx + PAD
             k = (2 * cy + PAD) * stride + 2 * cx + PAD
-            c0, c1 = coarse[c], coarse[c + 1]
-            c2, c3 = coarse[c + coarse_stride], coarse[c + coarse_stride + 1]
-            right = 2 * cx + 1 < transfer.columns
-            fine[k] += c0
-            if right:
-                fine[k + 1] += weights[0, c] * c0 + (_ONE - weights[0, c]) * c1
-            if down:
-                fine[k + stride] += weights[1, c] * c0 + (_ONE - weights[1, c]) * c2
-            if right and down:
-                fine[k + stride + 1] += (
-                    weights[2, c] * c0
-                    + weights[3, c] * c1
-                    + weights[4, c] * c2
-                    + weights[5, c] * c3
-                )
+            c0, c1 = load(coarse, c), load(coarse, c + 1)
+            share = load(weights[0], c)
+            odd = load_odd(fine, k) + share * c0 + (one - share) * c1
+            store_pairs(fine, k, load_even(fine, k) + c0, odd)
+            if 2 * cy + 1 < transfer.rows:
+                c2, c3 = load(coarse, c + coarse_stride), load(coarse, c + coarse_stride + 1)
+                k += stride
+                share = load(weights[1], c)
+                even = load_even(fine, k) + share * c0 + (one - share) * c2
+                odd = load_odd(fine, k) + load(weights[2], c) * c0 + load(weights[3], c) * c1
+                odd = odd + load(weights[4], c) * c2 + load(weights[5], c) * c3
+                store_pairs(fine, k, even, odd)
+        beyond = (2 * cy + PAD) * stride + PAD + transfer.columns
+        fine[beyond] = fine[beyond + stride] = _ZERO
