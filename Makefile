@@ -13,8 +13,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .NOTPARALLEL:
-.PHONY: help runtime setup demo test lint format unit kernels jazzy colcon evaluate benchmark \
-        docs lock clean distclean
+.PHONY: help runtime setup demo test compiled lint format unit kernels jazzy-environment jazzy \
+        colcon evaluate benchmark docs lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -30,8 +30,15 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run.
-test: lint kernels jazzy colcon ## everything that CI runs
+test: lint kernels compiled jazzy colcon ## everything that CI runs
 	$(PYTEST)
+
+# The compiler of an environment uses one core.
+compiled: setup jazzy-environment
+	@echo 'compiling kernels'
+	@tasks=; for environment in .venv $(if $(ROS_DISTRO),,.venv-jazzy); do \
+	    $$environment/bin/python test/compile_kernels.py & tasks="$$tasks $$!"; \
+	done; for task in $$tasks; do wait $$task || exit 1; done
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -53,11 +60,15 @@ kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m kernel -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
+jazzy-environment:
+
 jazzy:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
 else
-jazzy: ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
+jazzy-environment:
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
+
+jazzy: jazzy-environment ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
 	    echo "CPython 3.13: with the oldest versions that have wheels for it, not Ubuntu 24.04's"
 	.venv-jazzy/bin/python -m pytest test/unit test/system

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import signal
 import subprocess
@@ -64,6 +65,7 @@ class NodeProcess:
         self.log = log
         with log.open('wb') as file:
             self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
+        atexit.register(self.process.kill)  # none outlives the run, whatever fails in it
 
     def text(self) -> str:
         """Return what the node has logged."""

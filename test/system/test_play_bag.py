@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pytest
@@ -53,9 +54,26 @@ def listening(graph: Graph, *topics: str) -> Iterator[list[Arrival]]:
         graph.node.destroy_subscription(subscription)
 
 
-def play(bag: Path, *options: str) -> subprocess.Popen[str]:
-    command = [str(PLAY_BAG), str(bag), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+class Play(Protocol):
+    def __call__(self, bag: Path, *options: str) -> subprocess.Popen[str]: ...
+
+
+@pytest.fixture
+def play() -> Iterator[Play]:
+    """Start players that do not outlive the test: others of the run would hear them."""
+    started = []
+
+    def start(bag: Path, *options: str) -> subprocess.Popen[str]:
+        command = [str(PLAY_BAG), str(bag), *options]
+        started.append(
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        )
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 def finish(process: subprocess.Popen[str], status: int = 0) -> str:
@@ -79,7 +97,7 @@ def recorded(bag: Path, topic: str) -> list[bytes]:
 
 @pytest.mark.parametrize('fmt', ['mcap, chunks compressed', 'sqlite3', 'ros1, lz4'])
 def test_a_loop_repeats_bytes_order_and_timing_until_interrupted(
-    graph: Graph, tmp_path: Path, fmt: str
+    graph: Graph, play: Play, tmp_path: Path, fmt: str
 ) -> None:
     bag = write_bag(tmp_path / 'bag', stereo_records(5), fmt)
     with listening(graph, *TOPICS) as arrivals:
@@ -99,7 +117,7 @@ def test_a_loop_repeats_bytes_order_and_timing_until_interrupted(
         assert np.median(gaps_s) == pytest.approx(PERIOD_NS / 1e9 / 2, abs=0.01)
 
 
-def test_timing_is_that_of_the_recording(graph: Graph, tmp_path: Path) -> None:
+def test_timing_is_that_of_the_recording(graph: Graph, play: Play, tmp_path: Path) -> None:
     rate = 2.5
     stamps_ns = START_NS + np.cumsum([0, 50, 300, 20, 20, 400, 110, 250]) * 1_000_000
     records = [('/left/camera_info', info_message(rig().left, int(s)), int(s)) for s in stamps_ns]
@@ -114,7 +132,7 @@ def test_timing_is_that_of_the_recording(graph: Graph, tmp_path: Path) -> None:
     assert late_s.max() < 0.3
 
 
-def test_clock_is_the_time_of_recording(graph: Graph, tmp_path: Path) -> None:
+def test_clock_is_the_time_of_recording(graph: Graph, play: Play, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / 'bag', stereo_records(6))
     inbox = graph.inbox('/clock', Clock, QOS)
     finish(play(bag, '--clock', '--rate', '0.5', '--delay', '3'))
@@ -127,7 +145,9 @@ def test_clock_is_the_time_of_recording(graph: Graph, tmp_path: Path) -> None:
     assert 50 <= len(clock_ns) <= 130
 
 
-def test_quality_of_service_is_that_of_the_recording(graph: Graph, tmp_path: Path) -> None:
+def test_quality_of_service_is_that_of_the_recording(
+    graph: Graph, play: Play, tmp_path: Path
+) -> None:
     info = info_message(rig().left, START_NS)
     with BagWriter(tmp_path / 'bag') as writer:
         writer.write('/latched/camera_info', info, START_NS, TopicQos(transient_local=True))
@@ -161,7 +181,9 @@ def write_with_unknown_type(path: Path, *, known: bool) -> Path:
     return path
 
 
-def test_types_that_are_not_installed_are_named_once(graph: Graph, tmp_path: Path) -> None:
+def test_types_that_are_not_installed_are_named_once(
+    graph: Graph, play: Play, tmp_path: Path
+) -> None:
     bag = write_with_unknown_type(tmp_path / 'bag', known=True)
     remaps = ['--ros-args', '-r', '/left/image_raw:=/cam/image_raw']
     with listening(graph, '/cam/image_raw', '/right/image_raw') as arrivals:
@@ -172,12 +194,12 @@ def test_types_that_are_not_installed_are_named_once(graph: Graph, tmp_path: Pat
     assert log.count('/odd is left out: its type odd_msgs/msg/Odd is not installed') == 1
 
 
-def test_a_bag_of_such_types_only_is_refused(tmp_path: Path) -> None:
+def test_a_bag_of_such_types_only_is_refused(play: Play, tmp_path: Path) -> None:
     log = finish(play(write_with_unknown_type(tmp_path / 'bag', known=False)), 1)
     assert 'none of its types is installed: odd_msgs/msg/Odd' in log
 
 
-def test_what_precedes_the_damage_is_played(graph: Graph, tmp_path: Path) -> None:
+def test_what_precedes_the_damage_is_played(graph: Graph, play: Play, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / 'bag', stereo_records(80))
     file = bag / 'bag.mcap'
     file.write_bytes(file.read_bytes()[:2_500_000])
