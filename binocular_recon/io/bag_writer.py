@@ -24,17 +24,11 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.images import Image
 from binocular_recon.io.bags import TopicQos, ros2_types
-from binocular_recon.io.messages import fill_camera_info, fill_image
+from binocular_recon.io.messages import fill_camera_info, fill_image, plain_encoding
 
 RELIABLE = TopicQos()
 _UNLIMITED = QosTime(9223372036, 854775807)  # as rosbag2 writes it
 _IMAGE, _INFO = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CameraInfo'
-_ENCODINGS = {
-    ('uint8', 2): 'mono8',
-    ('uint8', 3): 'bgr8',
-    ('uint16', 2): 'mono16',
-    ('uint16', 3): 'bgr16',
-}
 
 
 def new_message(msgtype: str) -> Any:
@@ -129,9 +123,8 @@ def write_pair(
         header = new_message('std_msgs/msg/Header')
         header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         header.frame_id = f'camera_{side}_optical'
-        encoding = _ENCODINGS.get((image.dtype.name, image.ndim), '')
         picture, info = new_message(_IMAGE), new_message(_INFO)
-        fill_image(picture, image, encoding, header)
+        fill_image(picture, image, plain_encoding(image), header)
         fill_camera_info(info, camera, header)
         writer.write(f'/{side}/camera_info', info, stamp_ns)
         writer.write(f'/{side}/image_raw', picture, stamp_ns)

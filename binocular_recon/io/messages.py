@@ -44,7 +44,7 @@ class _Encoding(NamedTuple):
 
 
 # ROS names a Bayer pattern by its first two pixels, OpenCV by the middle of the second row.
-_ENCODINGS = {
+ENCODINGS = {
     'mono8': _Encoding('u1'),
     '8UC1': _Encoding('u1'),
     'mono16': _Encoding('u2'),
@@ -68,7 +68,7 @@ _ENCODINGS = {
     'yuv422_yuy2': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
     'yuyv': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
 }
-# How a decoded file is named that does not fit the encoding it was made from.
+# How pictures are named that no message has named.
 _PLAIN = {
     ('u1', 1): 'mono8',
     ('u1', 3): 'bgr8',
@@ -108,10 +108,10 @@ def read_image(message: Any, name: str = 'image') -> Picture:
         image, encoding = _decoded_file(message, name)
     else:
         image, encoding = image_samples(message, name), message.encoding
-        code = _ENCODINGS[encoding].decode
+        code = ENCODINGS[encoding].decode
         if code is not None:
             image = cv2.cvtColor(image, code)
-    if _ENCODINGS[encoding].decode is not None and _ENCODINGS[encoding].encode is None:
+    if ENCODINGS[encoding].decode is not None and ENCODINGS[encoding].encode is None:
         encoding = 'bgr8'
     return Picture(image, encoding)
 
@@ -121,11 +121,11 @@ def image_samples(message: Any, name: str = 'image') -> Image:
 
     Raises an ImageError if the encoding is unknown or data are missing.
     """
-    encoding = _ENCODINGS.get(message.encoding)
+    encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
         raise ImageError(
             f'{name} has encoding {message.encoding!r}; convert it to one of'
-            f' {", ".join(_ENCODINGS)}'
+            f' {", ".join(ENCODINGS)}'
         )
     width, height, step = int(message.width), int(message.height), int(message.step)
     dtype = np.dtype(encoding.dtype)
@@ -152,6 +152,11 @@ def image_samples(message: Any, name: str = 'image') -> Image:
     return np.ascontiguousarray(samples, dtype)
 
 
+def plain_encoding(image: Image) -> str:
+    """Return the encoding of a grey, BGR or BGRA picture, '' if there is none for its type."""
+    return _PLAIN.get(_kind(image), '')
+
+
 def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
     """Fill an Image message.
 
@@ -172,9 +177,9 @@ def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
         If the picture cannot be written in this encoding.
 
     """
-    spec = _ENCODINGS.get(encoding, _Encoding('', 0))
-    channels = 1 if image.ndim == 2 else image.shape[2]
-    if (image.dtype.str[1:], channels) != spec[:2] or (spec.decode and spec.encode is None):
+    spec = ENCODINGS.get(encoding, _Encoding('', 0))
+    channels = _kind(image)[1]
+    if _kind(image) != spec[:2] or (spec.decode and spec.encode is None):
         raise ImageError(
             f'picture of {image.dtype} with {channels} channels cannot be written as {encoding!r}'
         )
@@ -259,6 +264,11 @@ def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
         assign_array(message, member, np.asarray(values, np.float64).reshape(-1))
 
 
+def _kind(image: Image) -> tuple[str, int]:
+    """Return type and number of channels, as `_Encoding` begins."""
+    return image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2]
+
+
 def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
     """Return the picture of a CompressedImage as BGR, and its encoding."""
     # image_transport writes 'ENCODING; CODEC compressed ORDER', older senders just 'CODEC'
@@ -278,12 +288,13 @@ def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
         image = cv2.cvtColor(
             image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         )
-    kind = (image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2])
-    spec = _ENCODINGS.get(encoding)
-    if spec is None or spec[:2] != kind:
-        if kind not in _PLAIN:
-            raise ImageError(f'{name} is a file of type {kind[0]} with {kind[1]} channels')
-        return image, _PLAIN[kind]
+    spec = ENCODINGS.get(encoding)
+    if spec is None or spec[:2] != _kind(image):
+        plain = plain_encoding(image)
+        if not plain:
+            kind, channels = _kind(image)
+            raise ImageError(f'{name} is a file of type {kind} with {channels} channels')
+        return image, plain
     if spec.decode is not None and spec.encode is None:
         return cv2.cvtColor(image, spec.decode), 'bgr8'
     return image, encoding
