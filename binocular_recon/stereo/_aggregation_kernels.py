@@ -35,7 +35,7 @@ Array = npt.NDArray[Any]
 
 EIGHTH = 3  # bits
 SENTINEL = np.uint8(255)  # above every sum that is told apart
-BLOCK = 4  # rows
+BLOCK = 2  # rows
 WARM_UP = 24
 BACKS = 8  # copies of the right picture's best sums: a store must have ended before the next load
 

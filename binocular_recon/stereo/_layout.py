@@ -22,7 +22,7 @@ FloatImage = npt.NDArray[np.float32]
 _OVERSHOOT = 128.0
 _FINE_STEPS = 257  # per grey level: the steps of a 16-bit picture
 _EXACT = 2.0**24  # float32 holds every integer up to here
-_STEPS_OF_TEXTURE = 4  # per standard deviation of the least texture: rounding then is no noise
+_STEPS_OF_TEXTURE = 1  # per standard deviation of the least texture: rounding is a third of it
 
 
 def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatImage]:

@@ -44,6 +44,105 @@ def fill_strip(disparity: Array, filled: Array, start: int, stop: int) -> None:
 
 
 @kernel
+def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, stop: int) -> None:
+    """Mark runs of NaN wider than what the step between their ends hides, by ``slack`` px."""
+    width = disparity.shape[1]
+    for y in range(start, stop):
+        x = 0
+        before = np.float32(0)  # columns left of the picture's disparity are out of sight
+        while x < width:
+            marks[y, x] = False
+            if not np.isnan(disparity[y, x]):
+                before = disparity[y, x]
+                x += 1
+                continue
+            end = x
+            while end < width and np.isnan(disparity[y, end]):
+                end += 1
+            hidden = disparity[y, end] - before if end < width else np.float32(0)
+            marks[y, x:end] = end - x > hidden + slack
+            x = end
+
+
+@kernel
+def raise_to_columns(disparity: Array, marks: Array, filled: Array, start: int, stop: int) -> None:
+    """Raise marked pixels of columns ``start`` to ``stop`` to the smaller of the column's ends."""
+    height = len(disparity)
+    above = np.empty((height, stop - start), np.float32)
+    nearest = np.full(stop - start, np.float32(np.nan))
+    for y in range(height):
+        for i in range(nearest.size):
+            here = disparity[y, start + i]
+            nearest[i] = here if here == here else nearest[i]
+            above[y, i] = nearest[i]
+    nearest[:] = np.nan
+    for y in range(height - 1, -1, -1):
+        for i in range(nearest.size):
+            here = disparity[y, start + i]
+            nearest[i] = here if here == here else nearest[i]
+        for i in range(nearest.size):
+            # a comparison with NaN is false
+            end = nearest[i] if not above[y, i] <= nearest[i] else above[y, i]
+            end = end if end == end else above[y, i]
+            if marks[y, start + i] and end > filled[y, start + i]:
+                filled[y, start + i] = end
+
+
+@kernel
+def to_steps(
+    disparity: Array, first: float, steps: float, whole: Array, start: int, stop: int
+) -> None:
+    """Write disparities from ``first`` on in whole steps to ``whole``, int16; -1 = none."""
+    for y in range(start, stop):
+        for x in range(disparity.shape[1]):
+            here = (disparity[y, x] - np.float32(first)) * np.float32(steps)
+            whole[y, x] = np.int16(np.rint(here)) if here == here else np.int16(-1)
+
+
+@kernel
+def drop_negative(whole: Array, disparity: Array, start: int, stop: int) -> None:
+    """Set disparities to NaN where ``whole`` is negative."""
+    for y in range(start, stop):
+        for x in range(disparity.shape[1]):
+            disparity[y, x] = disparity[y, x] if whole[y, x] >= 0 else np.float32(np.nan)
+
+
+@kernel
+def border_strip(disparity: Array, values: Array, bordered: Array, start: int, stop: int) -> None:
+    """Put ``values``, NaN where ``disparity`` is, inside the border of NaN for `plane_strip`."""
+    width = disparity.shape[1]
+    for y in range(start, stop):
+        row = bordered[y + BORDER]
+        row[:BORDER] = np.nan
+        row[BORDER + width :] = np.nan
+        for x in range(width):
+            here = disparity[y, x]
+            row[BORDER + x] = values[y, x] if here == here else here
+
+
+@kernel
+def count_holes(disparity: Array, half: Array, labels: Array, size: Array, seen: Array) -> None:
+    """Count the pixels of each labelled hole, and how many of them ``half`` sees."""
+    for y in range(disparity.shape[0]):
+        for x in range(disparity.shape[1]):
+            if np.isnan(disparity[y, x]):
+                size[labels[y, x]] += 1
+                seen[labels[y, x]] += not np.isnan(half[y // 2, x // 2])
+
+
+@kernel
+def fill_holes(
+    labels: Array, fill: Array, half: tuple[Array, Array], whole: tuple[Array, Array]
+) -> None:
+    """Double what half resolution says, disparity and sigma, of the holes to ``fill``."""
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            if fill[labels[y, x]] and not np.isnan(half[0][y // 2, x // 2]):
+                whole[0][y, x] = 2 * half[0][y // 2, x // 2]
+                whole[1][y, x] = 2 * half[1][y // 2, x // 2]
+
+
+@kernel
 def plane_strip(
     disparity: Array, reach_px: float, plane: Array, residual: Array, start: int, stop: int
 ) -> None:
@@ -51,7 +150,7 @@ def plane_strip(
 
     ``disparity`` (H + 2 BORDER, W + 2 BORDER + LANES) has a border of NaN; ``plane`` and
     ``residual`` (H, W + LANES) get the plane's value and the mean square of what remains,
-    where samples are few that of anything within ``reach_px``.
+    where samples are few that of anything within ``reach_px``; NaN where there is no disparity.
     """
     width = disparity.shape[1] - 2 * BORDER - LANES
     limit = splat(np.float32(reach_px))
@@ -95,4 +194,4 @@ def plane_strip(
             fitted = at_most(splat(FEW), n, at_most(splat(FLAT), spread, fitted, here), here)
             store(plane[y], x, fitted)
             left = at_most(splat(FEW), n, larger(left, zero), limit * limit / splat(np.float32(3)))
-            store(residual[y], x, left)
+            store(residual[y], x, left + (here - here))  # NaN where there is no disparity

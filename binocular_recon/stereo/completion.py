@@ -8,12 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
-from binocular_recon.stereo._refinement_kernels import fill_strip
+from binocular_recon.stereo._refinement_kernels import (
+    fill_strip,
+    mark_unexplained,
+    raise_to_columns,
+)
 
 FloatImage = npt.NDArray[np.float32]
 
 # Confidence of a completed pixel: a standard deviation of about 1 px (see `matching`).
 COMPLETED_CONFIDENCE = 0.06
+# How much wider than its cause a run of hidden pixels is: windows see a border from afar.
+HIDDEN_SLACK_PX = 8
 
 
 def complete(disparity_px: FloatImage, confidence: FloatImage) -> tuple[FloatImage, FloatImage]:
@@ -29,14 +35,26 @@ def complete(disparity_px: FloatImage, confidence: FloatImage) -> tuple[FloatIma
     Returns
     -------
     disparity_px : (H, W) float32
-        Holes filled from the background along rows and smoothed across them by a median;
-        measured disparities are kept. All NaN if nothing was measured.
+        Holes filled from the background along rows and smoothed across them by a median; measured
+        disparities are kept. A run wider than what the step between its ends hides takes the
+        background along the column if that is nearer. All NaN if nothing was measured.
     confidence : (H, W) float32
         `COMPLETED_CONFIDENCE` in holes.
 
     """
     holes = np.isnan(disparity_px) | ~(confidence > 0)
-    filled = fill_from_background(np.where(holes, np.float32(np.nan), disparity_px))
+    measured = np.where(holes, np.float32(np.nan), disparity_px)
+    filled = fill_from_background(measured)
+    unexplained = np.empty(filled.shape, np.bool_)
+    over_strips(
+        lambda start, stop: mark_unexplained(measured, HIDDEN_SLACK_PX, unexplained, start, stop),
+        len(filled),
+    )
+    over_strips(
+        lambda start, stop: raise_to_columns(measured, unexplained, filled, start, stop),
+        filled.shape[1],
+        strip=128,
+    )
     if np.isnan(filled[0, 0]):
         return filled, np.zeros_like(confidence)
     smooth = np.where(holes, cv2.medianBlur(filled, 5), filled)

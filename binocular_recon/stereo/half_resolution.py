@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
+from binocular_recon.stereo._refinement_kernels import count_holes, fill_holes
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -56,20 +58,19 @@ def fill_from_half(
         Smaller holes stay.
 
     """
-    height, width = disparity_px.shape
-    size = (2 * half_disparity_px.shape[1], 2 * half_disparity_px.shape[0])
-    disparity, sigma = (
-        cv2.resize(2 * half, size, interpolation=cv2.INTER_NEAREST)[:height, :width]
-        for half in (half_disparity_px, half_sigma_px)
-    )
-    count, label, stats, _ = cv2.connectedComponentsWithStats(
-        np.isnan(disparity_px).astype(np.uint8), connectivity=4
-    )
-    seen = np.isfinite(disparity)
-    area = stats[:, cv2.CC_STAT_AREA]
-    share = np.bincount(label[seen], minlength=count) / np.maximum(area, 1)
-    fill = (share >= LEAST_SHARE) & (area >= least_hole)
+    holes = np.isnan(disparity_px).astype(np.uint8)
+    count, labels = cv2.connectedComponents(holes, connectivity=4)
+    area, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    count_holes(disparity_px, half_disparity_px, labels, area, seen)
+    fill = (seen >= LEAST_SHARE * area) & (area >= least_hole)
     fill[0] = False  # no hole
-    chosen = fill[label] & seen
-    disparity_px[chosen] = disparity[chosen]
-    sigma_px[chosen] = sigma[chosen]
+    over_strips(
+        lambda start, stop: fill_holes(
+            labels[start:stop],
+            fill,
+            (half_disparity_px[start // 2 :], half_sigma_px[start // 2 :]),
+            (disparity_px[start:stop], sigma_px[start:stop]),
+        ),
+        len(labels),
+        strip=64,
+    )

@@ -14,6 +14,7 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._layout import check_pair, lay_out
 from binocular_recon.stereo._ncc_kernels import Selection, score_strip, select_strip
+from binocular_recon.stereo._refinement_kernels import drop_negative, to_steps
 from binocular_recon.stereo.half_resolution import fill_from_half, half_config, halve
 from binocular_recon.stereo.refinement import smooth
 
@@ -51,7 +52,8 @@ def disparity_step_px(config: MatchConfig) -> float:
 def confidence_from_sigma(sigma_px: FloatImage) -> FloatImage:
     """Return 1 / (1 + (sigma / SIGMA_UNIT_PX)^2), 0 where sigma is NaN or infinite."""
     ratio = np.asarray(sigma_px, np.float32) / np.float32(SIGMA_UNIT_PX)
-    confidence: FloatImage = np.nan_to_num(1 / (1 + ratio * ratio), nan=0.0)
+    confidence: FloatImage = np.reciprocal(1 + ratio * ratio, dtype=np.float32)
+    confidence[np.isnan(confidence)] = 0
     return confidence
 
 
@@ -97,8 +99,17 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
         fill_from_half(disparity, sigma, *half, config.speckle_size)
     if not config.subpixel:
         return Match(disparity, np.isfinite(disparity).astype(np.float32))
-    disparity = np.rint(disparity / SUBPIXEL_STEP_PX) * np.float32(SUBPIXEL_STEP_PX)
-    return Match(disparity, confidence_from_sigma(sigma))
+    confidence = np.empty_like(disparity)
+
+    def finish(start: int, stop: int) -> None:
+        rows = disparity[start:stop]
+        rows /= np.float32(SUBPIXEL_STEP_PX)
+        np.rint(rows, out=rows)
+        rows *= np.float32(SUBPIXEL_STEP_PX)
+        confidence[start:stop] = confidence_from_sigma(sigma[start:stop])
+
+    over_strips(finish, len(disparity))
+    return Match(disparity, confidence)
 
 
 def _measure(
@@ -170,8 +181,10 @@ def _drop_speckles(disparity: FloatImage, config: MatchConfig) -> None:
         return
     # steps per px such that every disparity fits 16 bits
     steps = min(16, 32000 // config.disparity_range)
-    whole = np.full(disparity.shape, -1, np.int16)
-    valid = np.isfinite(disparity)
-    whole[valid] = np.rint((disparity[valid] - config.min_disparity + 1) * steps)
+    whole = np.empty(disparity.shape, np.int16)
+    first = config.min_disparity - 1.0
+    over_strips(
+        lambda start, stop: to_steps(disparity, first, steps, whole, start, stop), len(whole)
+    )
     cv2.filterSpeckles(whole, -1, config.speckle_size, config.speckle_range * steps)
-    disparity[whole < 0] = np.nan
+    over_strips(lambda start, stop: drop_negative(whole, disparity, start, stop), len(whole))

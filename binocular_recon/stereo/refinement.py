@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
-from binocular_recon.stereo._refinement_kernels import BORDER, plane_strip
+from binocular_recon.stereo._refinement_kernels import BORDER, border_strip, plane_strip
 from binocular_recon.stereo.completion import fill_from_background
 
 FloatImage = npt.NDArray[np.float32]
@@ -45,17 +45,21 @@ def smooth(disparity_px: FloatImage) -> tuple[FloatImage, FloatImage]:
 
     """
     height, width = disparity_px.shape
-    none = np.isnan(disparity_px)
     median = cv2.medianBlur(fill_from_background(disparity_px), 5)
-    median[none] = np.nan
-    bordered = np.full((height + 2 * BORDER, width + 2 * BORDER + LANES), np.nan, np.float32)
-    bordered[BORDER : BORDER + height, BORDER : BORDER + width] = median
-    plane = np.empty((height, width + LANES), np.float32)
-    residual = np.empty((height, width + LANES), np.float32)
+    bordered = np.empty((height + 2 * BORDER, width + 2 * BORDER + LANES), np.float32)
+    bordered[:BORDER] = bordered[BORDER + height :] = np.nan
     over_strips(
-        lambda start, stop: plane_strip(bordered, SAME_SURFACE_PX, plane, residual, start, stop),
-        height,
+        lambda start, stop: border_strip(disparity_px, median, bordered, start, stop), height
     )
-    variance = COMMON_SIGMA_PX**2 + RESIDUAL_FACTOR**2 * residual[:, :width]
-    variance[none] = np.nan
-    return plane[:, :width].copy(), np.sqrt(variance)
+    plane = np.empty((height, width + LANES), np.float32)
+    sigma = np.empty((height, width + LANES), np.float32)
+
+    def fit(start: int, stop: int) -> None:
+        plane_strip(bordered, SAME_SURFACE_PX, plane, sigma, start, stop)
+        rows = sigma[start:stop, :width]
+        rows *= np.float32(RESIDUAL_FACTOR**2)
+        rows += np.float32(COMMON_SIGMA_PX**2)
+        np.sqrt(rows, out=rows)
+
+    over_strips(fit, height)
+    return plane[:, :width].copy(), sigma[:, :width].copy()

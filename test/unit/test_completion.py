@@ -53,6 +53,20 @@ def test_complete_keeps_what_was_measured() -> None:
     np.testing.assert_allclose(weight[holes], COMPLETED_CONFIDENCE)
 
 
+def test_holes_wider_than_what_is_hidden_take_the_column() -> None:
+    disparity = np.full((30, 60), 9, np.float32)
+    disparity[:, 30:] = 21
+    hidden, wide = disparity.copy(), disparity.copy()
+    hidden[10:15, 18:36] = NAN  # 12 px of disparity hide 12 columns; windows reach 6 more
+    wide[10:15, 18:50] = NAN
+    confidence = np.ones((30, 60), np.float32)
+    completed = complete(hidden, confidence)[0]
+    np.testing.assert_array_equal(completed[12, 18:36], 9)
+    completed = complete(wide, confidence)[0]
+    np.testing.assert_array_equal(completed[12, 18:28], 9)
+    np.testing.assert_array_equal(completed[12, 32:50], 21)
+
+
 def test_nothing_measured_stays_nothing() -> None:
     completed, weight = complete(np.full((6, 7), NAN, np.float32), np.zeros((6, 7), np.float32))
     assert np.isnan(completed).all()

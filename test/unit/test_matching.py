@@ -217,7 +217,7 @@ def test_exposure_does_not_matter(semi_global: bool) -> None:
     both = np.isfinite(plain.disparity_px) & np.isfinite(darker.disparity_px)
     assert both.mean() > 0.6
     change = np.abs(plain.disparity_px - darker.disparity_px)[both]
-    assert np.quantile(change, 0.99) < 0.02
+    assert np.quantile(change, 0.99) < 0.04  # levels are rounded to a quarter
 
 
 def test_speckles_are_removed() -> None:
