@@ -183,6 +183,8 @@ def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> Non
                 total = total + link + larger(load(links[a], k - back[a]), zero)
             store(diagonal, i, total)
             k += LANES
+    end = (bottom - top + PAD) * stride
+    factors[:, end : end + PAD * stride] = _ZERO
 
 
 @ordered_kernel

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,8 +115,7 @@ class _Level:
         return sums
 
 
-@dataclass(frozen=True)
-class _Coarser:
+class _Coarser(NamedTuple):
     """The next coarser grid and the way to it."""
 
     level: _Level
@@ -125,21 +123,17 @@ class _Coarser:
 
 
 class System:
-    """The equations (C + lambda L_g) f = C b for one C and L_g.
+    """The equations (C + lambda L_g) f = C b of pictures of one size, one after the other.
 
     Parameters
     ----------
-    weight : (H, W) float32
-        c, the diagonal of C; above 0 somewhere.
-    link_x : (H, W - 1) float32
-        lambda a_x.
-    link_y : (H - 1, W) float32
-        lambda a_y.
+    rows, columns : int
+        H and W.
 
     """
 
-    def __init__(self, weight: Vector, link_x: Vector, link_y: Vector) -> None:
-        rows, columns = weight.shape
+    def __init__(self, rows: int, columns: int) -> None:
+        self.shape = rows, columns
         self._black = _Level(rows, (columns + 1) // 2, black=True)
         stride = _stride(columns)
         padded = (rows + 2 * PAD) * stride + 2 * LANES
@@ -151,14 +145,24 @@ class System:
             stride=stride,
             half_stride=self._black.lattice.stride,
         )
-        self._pixels(self._picture.weight)[:] = weight
-        self._pixels(self._picture.links[0])[:, :-1] = link_x
-        self._pixels(self._picture.links[2])[:-1] = link_y
-        lattice = self._black.lattice
-        self._black.over(reduction.invert_red, self._picture)
-        self._black.over(reduction.reduce_links, self._picture, lattice.links, lattice.excess)
-        self._black.factorise()
-        self._coarser = self._coarsen_all(rows, columns)
+        self._right_side, self._pixel_values = np.zeros((2, padded), np.float32)
+        self._vectors = [self._black.vector() for _ in range(6)]
+        self._coarser = self._make_grids()
+
+    def _make_grids(self) -> list[_Coarser]:
+        """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
+        (rows, columns), stride = self.shape, self._picture.stride
+        coarser: list[_Coarser] = []
+        while max(rows, columns) > 1:
+            level = _Level((rows + 1) // 2, (columns + 1) // 2)
+            weights = np.zeros((6, level.lattice.excess.size), np.float32)
+            weights[:2] = 1
+            transfer = Transfer(
+                weights, rows, columns, stride, level.lattice.stride, diagonal=bool(coarser)
+            )
+            coarser.append(_Coarser(level, transfer))
+            rows, columns, stride = level.lattice.rows, level.columns, level.lattice.stride
+        return coarser
 
     def _pixels(self, padded: Vector) -> Vector:
         """View padded pixels as a picture."""
@@ -166,28 +170,34 @@ class System:
         rows = padded[: -2 * LANES].reshape(-1, picture.stride)
         return rows[PAD:-PAD, PAD : PAD + picture.columns]
 
-    def _coarsen_all(self, rows: int, columns: int) -> list[_Coarser]:
-        """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
-        links, excess = self._picture.links, self._picture.weight
-        stride = self._picture.stride
-        coarser: list[_Coarser] = []
-        while max(rows, columns) > 1:
-            level = _Level((rows + 1) // 2, (columns + 1) // 2)
-            lattice = level.lattice
-            weights = np.zeros((6, lattice.excess.size), np.float32)
-            weights[:2] = 1
-            transfer = Transfer(
-                weights, rows, columns, stride, lattice.stride, diagonal=bool(coarser)
-            )
+    def assemble(self, weight: Vector, link_x: Vector, link_y: Vector) -> None:
+        """Take C and L_g.
+
+        Parameters
+        ----------
+        weight : (H, W) float32
+            c, the diagonal of C; above 0 somewhere.
+        link_x : (H, W - 1) float32
+            lambda a_x.
+        link_y : (H - 1, W) float32
+            lambda a_y.
+
+        """
+        picture, black = self._picture, self._black
+        self._pixels(picture.weight)[:] = weight
+        self._pixels(picture.links[0])[:, :-1] = link_x
+        self._pixels(picture.links[2])[:-1] = link_y
+        black.over(reduction.invert_red, picture)
+        black.over(reduction.reduce_links, picture, black.lattice.links, black.lattice.excess)
+        black.factorise()
+        links, excess = picture.links, picture.weight
+        for level, transfer in self._coarser:
             level.over(transfers.weigh_between, links, transfer)
             level.over(transfers.weigh_amid, links, transfer)
-            level.over(transfers.galerkin, links, transfer, lattice.links)
-            level.over(transfers.restrict, excess, transfer, lattice.excess)
+            level.over(transfers.galerkin, links, transfer, level.lattice.links)
+            level.over(transfers.restrict, excess, transfer, level.lattice.excess)
             level.factorise()
-            coarser.append(_Coarser(level, transfer))
-            links, excess = lattice.links, lattice.excess
-            rows, columns, stride = lattice.rows, level.columns, lattice.stride
-        return coarser
+            links, excess = level.lattice.links, level.lattice.excess
 
     def solve(self, data: Vector, tolerance: float, initial: Vector | None = None) -> Solution:
         """Solve for one b.
@@ -195,25 +205,44 @@ class System:
         Parameters
         ----------
         data : (H, W) float32
-            b; anything finite where c is 0.
+            b; anything finite where c is 0. The iteration starts from it.
         tolerance : float
             Largest error allowed, in the data's unit.
         initial : (H, W) float32, optional
-            A first guess; without it, b.
+            A guess, towards which the iteration takes its first step.
+
+        Returns
+        -------
+        Solution
+            Its values are overwritten by the next call.
 
         """
-        black, picture = self._black, self._picture
-        right_side, first = np.zeros_like(picture.weight), np.zeros_like(picture.weight)
-        self._pixels(right_side)[:] = data
-        right_side *= picture.weight
-        self._pixels(first)[:] = data if initial is None else initial
-        right, x = black.vector(), black.vector()
-        black.over(reduction.reduce_right_side, picture, right_side, right)
-        black.over(reduction.gather_black, picture, first, x)
-        rounding = _ROUNDING * float(np.abs(data).max())
-        iterations, error = self._iterate(right, x, max(tolerance, rounding))
-        black.over(reduction.substitute, picture, right_side, x, first)
-        return Solution(self._pixels(first), iterations, error + rounding)
+        black, picture, pixels = self._black, self._picture, self._pixel_values
+        right, x, residual, _, p, Ap = self._vectors
+        np.multiply(data, self._pixels(picture.weight), out=self._pixels(self._right_side))
+        self._pixels(pixels)[:] = data
+        black.over(reduction.reduce_right_side, picture, self._right_side, right)
+        black.over(reduction.gather_black, picture, pixels, x)
+        black.residual(right, x, residual)
+        p.fill(0)
+        Ap.fill(0)
+        if initial is not None:
+            np.subtract(initial, data, out=self._pixels(pixels))
+            self._step_towards(pixels)
+        rounding = _ROUNDING * max(abs(float(data.max())), abs(float(data.min())))
+        iterations, error = self._iterate(max(tolerance, rounding))
+        black.over(reduction.substitute, picture, self._right_side, x, pixels)
+        return Solution(self._pixels(pixels), iterations, error + rounding)
+
+    def _step_towards(self, pixels: Vector) -> None:
+        """Change x along a direction as far as it becomes better."""
+        black, (right, x, residual, z, p, Ap) = self._black, self._vectors
+        black.over(reduction.gather_black, self._picture, pixels, z)
+        sums = black.sums(lattice_kernels.turn, z, 0.0, residual, p, Ap)
+        pAp, pr, _ = sums.sum(axis=0).tolist()
+        if pAp > 0:
+            black.over(lattice_kernels.step, black.lattice, pr / pAp, p, x)
+            black.residual(right, x, residual)
 
     def _cycle(self, depth: int, right: Vector, out: Vector) -> None:
         """Write roughly ``A^-1 right`` of a coarse level: one V-cycle."""
@@ -243,11 +272,9 @@ class System:
             first.level.over(reduction.prolong_black, first.level.work, first.transfer, black.x)
         black.smooth(right, black.x, out, correct=True)
 
-    def _iterate(self, right: Vector, x: Vector, tolerance: float) -> tuple[int, float]:
+    def _iterate(self, tolerance: float) -> tuple[int, float]:
         """Improve x by flexible conjugate gradients (Y. Notay, SIAM J. Sci. Comput. 22, 2000)."""
-        black = self._black
-        residual, z, p, Ap = (black.vector() for _ in range(4))
-        black.residual(right, x, residual)
+        black, (right, x, residual, z, p, Ap) = self._black, self._vectors
         progress = _Progress()
         errors: list[float] = []
         pAp = 1.0

@@ -163,8 +163,9 @@ def _gather_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int
 
 @kernel
 def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop: int) -> None:
-    """Add up the links of coarse rows; ``coarse`` (4, coarse nodes) starts at zero."""
+    """Write the links (4, coarse nodes) of coarse rows."""
     coarse_stride = transfer.coarse_stride
+    coarse[:, (start + PAD) * coarse_stride : (stop + PAD) * coarse_stride] = _ZERO
     cell = np.zeros(6, np.float32)
     for cy in range(start - 1, stop):
         for cx in range((transfer.columns + 1) // 2):

@@ -13,13 +13,10 @@ import numpy.typing as npt
 from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.stereo import _filter_kernels as kernels
 from binocular_recon.stereo._wls_solver import System
-from binocular_recon.stereo.completion import (
-    COMPLETED_CONFIDENCE,
-    complete,
-    fill_from_background,
-)
-from binocular_recon.stereo.matching import sigma_from_confidence
+from binocular_recon.stereo.completion import COMPLETED_CONFIDENCE, complete
+from binocular_recon.stereo.matching import SIGMA_UNIT_PX
 
 FloatImage = npt.NDArray[np.float32]
 
@@ -27,8 +24,6 @@ FloatImage = npt.NDArray[np.float32]
 LIMIT_MARGIN_PX = 2.0**-10
 # Standard deviation that no disparity falls below.
 LEAST_SIGMA_PX = 0.05
-# Window in which the data's scatter around the solution is taken.
-SCATTER_WINDOW_PX = 7
 # A pixel without a match: what it may be off by, as a share of the difference between the two
 # ends of its hole, and for each pixel of distance from the nearest match.
 HOLE_SPREAD_SHARE = 0.25
@@ -132,7 +127,8 @@ def filter_disparity(
     _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
     measured = _measured(disparity_px, confidence, limits_px)
     equations = normal_equations(measured, confidence, guide, config)
-    system = System(equations.weight, equations.link_x, equations.link_y)
+    system = System(*equations.weight.shape)
+    system.assemble(equations.weight, equations.link_x, equations.link_y)
     if initial is not None and not np.isfinite(initial).all():
         initial = None
     solution = system.solve(equations.data, config.wls_tolerance_px, initial)
@@ -191,33 +187,31 @@ def _data_term(
 
 def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
     """Return the standard deviation of every pixel."""
-    shares, squares = np.empty_like(measured), np.empty_like(measured)
-
-    def compare(start: int, stop: int) -> None:
-        rows = slice(start, stop)
-        valid = np.isfinite(measured[rows])
-        shares[rows] = valid
-        squares[rows] = np.where(valid, np.square(measured[rows] - filtered[rows]), 0)
-
-    over_strips(compare, len(measured))
-    window = (SCATTER_WINDOW_PX, SCATTER_WINDOW_PX)
-    scatter, share = cv2.blur(squares, window), cv2.blur(shares, window)
-    near, far = fill_from_background(measured), fill_from_background(-measured)
-    distance = cv2.distanceTransform((shares == 0).astype(np.uint8), cv2.DIST_L2, 3)
-    sigma = np.empty_like(measured)
-
-    def add_up(start: int, stop: int) -> None:
-        rows = slice(start, stop)
-        level = np.where(shares[rows] > 0, confidence[rows], np.float32(COMPLETED_CONFIDENCE))
-        variance = np.square(sigma_from_confidence(np.minimum(level, 1)))
-        variance += np.maximum(scatter[rows], 0) / np.maximum(share[rows], np.float32(1e-3))
-        # both 0 at a match
-        variance += np.square(HOLE_SPREAD_SHARE * (near[rows] + far[rows]))
-        variance += np.square(HOLE_DISTANCE_SHARE * distance[rows])
-        sigma[rows] = np.sqrt(variance + np.float32(LEAST_SIGMA_PX**2))
-
-    over_strips(add_up, len(measured))
+    spread, sigma = np.empty_like(measured), np.empty_like(measured)
+    over_strips(kernels.spread_of_gaps, len(measured), measured, spread)
+    hole = np.isnan(measured)
+    _copy_nearest_rows(spread, empty=np.asarray(hole.all(axis=1)))
+    distance = cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3)
+    spread *= np.float32(HOLE_SPREAD_SHARE)
+    distance *= np.float32(HOLE_DISTANCE_SHARE)
+    evidence = kernels.Evidence(
+        measured,
+        filtered,
+        level=np.where(hole, np.float32(COMPLETED_CONFIDENCE), confidence),
+        spread=spread,
+        distance=distance,
+        unit=SIGMA_UNIT_PX**2,
+        least=LEAST_SIGMA_PX**2,
+    )
+    over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
     return sigma
+
+
+def _copy_nearest_rows(image: FloatImage, *, empty: npt.NDArray[np.bool_]) -> None:
+    """Replace empty rows by the nearest of the others."""
+    rows, gaps = np.flatnonzero(~empty), np.flatnonzero(empty)
+    if gaps.size and rows.size:
+        image[gaps] = image[rows[np.abs(gaps[:, None] - rows).argmin(axis=1)]]
 
 
 def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
@@ -233,22 +227,9 @@ def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
 
 def _nearest_in_row(measured: FloatImage) -> FloatImage:
     """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
-    here = np.arange(measured.shape[1])
     filled = np.empty_like(measured)
-
-    def fill(start: int, stop: int) -> None:
-        rows = measured[start:stop]
-        valid = np.isfinite(rows)
-        before = np.maximum.accumulate(np.where(valid, here, -here.size), axis=1)
-        after = np.where(valid, here, 2 * here.size)
-        after = np.minimum.accumulate(after[:, ::-1], axis=1)[:, ::-1]
-        source = np.where(here - before <= after - here, before, after)
-        filled[start:stop] = np.take_along_axis(rows, source.clip(0, here.size - 1), axis=1)
-
-    over_strips(fill, len(measured))
-    empty = np.isnan(filled[:, 0])
-    rows = np.flatnonzero(~empty)
-    filled[empty] = filled[rows[np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)]]
+    over_strips(kernels.fill_from_nearest, len(measured), measured, filled)
+    _copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
     return filled
 
 
@@ -269,25 +250,15 @@ def _links(
     height, width = data.shape
     link_x = np.empty((height, width - 1), np.float32)
     link_y = np.empty((height - 1, width), np.float32)
-
-    def link(log_a: FloatImage, log_b: FloatImage, a: FloatImage, b: FloatImage) -> FloatImage:
-        step: FloatImage = np.abs(log_a - log_b)
-        if step.size == 0:  # OpenCV refuses it
-            return step
-        # no picture, no edge
-        gradient: FloatImage = cv2.pow(cv2.patchNaNs(step, 0), config.wls_alpha)
-        if config.wls_disparity_steps:
-            gradient += np.float32(config.wls_disparity_steps) * np.square(a - b)
-        gradient += np.float32(config.wls_epsilon)
-        smoothness: FloatImage = np.float32(config.wls_lambda) / gradient
-        return smoothness
+    options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon
 
     def fill(start: int, stop: int) -> None:
-        rows = data[start : stop + 1]
         log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
-        link_y[start:stop] = link(log[1:], log[:-1], rows[1:], rows[:-1])
-        log, rows = log[: stop - start], rows[: stop - start]
-        link_x[start:stop] = link(log[:, 1:], log[:, :-1], rows[:, 1:], rows[:, :-1])
+        kernels.size_of_steps(log, link_x, link_y, start, stop)  # no picture, no edge
+        for link in (link_x[start:stop], link_y[start:stop]):
+            if link.size:  # OpenCV refuses an empty one
+                cv2.pow(link, config.wls_alpha, link)
+        kernels.weigh_links(data, link_x, link_y, options, start, stop)
 
     over_strips(fill, height)
     return link_x, link_y

@@ -31,7 +31,9 @@ class Equations(NamedTuple):
 
     @property
     def system(self) -> System:
-        return System(self.weight, self.link_x, self.link_y)
+        system = System(*self.weight.shape)
+        system.assemble(self.weight, self.link_x, self.link_y)
+        return system
 
     @property
     def exact(self) -> npt.NDArray[np.float64]:

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of the filter around its solver: holes along rows, links, the variance of pixels."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import kernel
+
+Array = npt.NDArray[Any]
+
+REACH = 3  # of the window in which the data's scatter around the solution is taken
+_ZERO = np.float32(0)
+
+
+class Evidence(NamedTuple):
+    """What the variance of pixels is made of; images are (H, W) float32.
+
+    Attributes
+    ----------
+    measured, filtered : disparity, NaN = none in the first.
+    level : confidence, above 0.
+    spread, distance : standard deviation of a pixel without a match for what its hole's ends
+        differ by, and for its distance from the nearest match.
+    unit, least : variance of a match whose confidence is 1/2, and of every pixel.
+
+    """
+
+    measured: Array
+    filtered: Array
+    level: Array
+    spread: Array
+    distance: Array
+    unit: float
+    least: float
+
+
+@kernel
+def fill_from_nearest(measured: Array, filled: Array, start: int, stop: int) -> None:
+    """Give each NaN the nearest value of its row; the left one of two equally near."""
+    width = measured.shape[1]
+    for y in range(start, stop):
+        row, out, x = measured[y], filled[y], 0
+        while x < width:
+            out[x] = row[x]
+            if not np.isnan(row[x]):
+                x += 1
+                continue
+            end = x
+            while end < width and np.isnan(row[end]):
+                end += 1
+            middle = (x + end + 1) // 2 if end < width else end
+            if x == 0:
+                middle = 0
+            out[x:middle] = row[x - 1] if x else np.float32(np.nan)
+            out[middle:end] = row[end] if end < width else np.float32(np.nan)
+            x = end
+
+
+@kernel
+def spread_of_gaps(measured: Array, spread: Array, start: int, stop: int) -> None:
+    """Write the difference between the two ends of each run of NaN; 0 elsewhere."""
+    width = measured.shape[1]
+    for y in range(start, stop):
+        row, x = measured[y], 0
+        spread[y] = _ZERO
+        while x < width:
+            if not np.isnan(row[x]):
+                x += 1
+                continue
+            end = x
+            while end < width and np.isnan(row[end]):
+                end += 1
+            if x > 0 and end < width:
+                spread[y, x:end] = abs(row[end] - row[x - 1])
+            x = end
+
+
+@kernel
+def _size_of_step(one: Array, other: Array, out: Array) -> None:
+    for i in range(len(out)):
+        step = abs(one[i] - other[i])
+        out[i] = _ZERO if np.isnan(step) else step
+
+
+@kernel
+def size_of_steps(values: Array, right: Array, down: Array, start: int, stop: int) -> None:
+    """Write the size of the step to the right and to the lower neighbour, 0 where it is NaN."""
+    for y in range(start, stop):
+        _size_of_step(values[y - start, 1:], values[y - start, :-1], right[y])
+        if y < len(down):
+            _size_of_step(values[y - start + 1], values[y - start], down[y])
+
+
+@kernel
+def _weigh(
+    one: Array, other: Array, gradient: Array, strength: float, steps: float, epsilon: float
+) -> None:
+    share, kappa, least = np.float32(strength), np.float32(steps), np.float32(epsilon)
+    for i in range(len(gradient)):
+        step = one[i] - other[i]
+        gradient[i] = share / (gradient[i] + kappa * step * step + least)
+
+
+@kernel
+def weigh_links(
+    data: Array,
+    right: Array,
+    down: Array,
+    options: tuple[float, float, float],
+    start: int,
+    stop: int,
+) -> None:
+    """Replace the gradient term of links by ``lambda / (gradient + kappa step^2 + epsilon)``."""
+    strength, steps, epsilon = options
+    for y in range(start, stop):
+        _weigh(data[y, 1:], data[y, :-1], right[y], strength, steps, epsilon)
+        if y < len(down):
+            _weigh(data[y + 1], data[y], down[y], strength, steps, epsilon)
+
+
+@kernel
+def _add(out: Array, values: Array) -> None:
+    for i in range(len(out)):
+        out[i] += values[i]
+
+
+@kernel
+def _compare(measured: Array, filtered: Array, square: Array, count: Array) -> None:
+    for i in range(len(measured)):
+        difference = measured[i] - filtered[i]
+        valid = not np.isnan(difference)
+        square[i] += difference * difference if valid else _ZERO
+        count[i] += np.float32(1) if valid else _ZERO
+
+
+@kernel
+def _spread_along_row(padded: Array, out: Array) -> None:
+    out[:] = _ZERO
+    for shift in range(2 * REACH + 1):
+        _add(out, padded[shift : shift + len(out)])
+
+
+@kernel
+def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) -> None:
+    """Write the root of a constant, the match's variance, the data's scatter and the hole's."""
+    measured, filtered = evidence.measured, evidence.filtered
+    height, width = measured.shape
+    columns = np.zeros((2, width + 2 * REACH), np.float32)
+    squares, counts = np.empty(width, np.float32), np.empty(width, np.float32)
+    one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
+    for y in range(start, stop):
+        columns[:] = _ZERO
+        for near in range(max(0, y - REACH), min(height, y + REACH + 1)):
+            inside = slice(REACH, REACH + width)
+            _compare(measured[near], filtered[near], columns[0, inside], columns[1, inside])
+        _spread_along_row(columns[0], squares)
+        _spread_along_row(columns[1], counts)
+        level, spread, distance = evidence.level[y], evidence.spread[y], evidence.distance[y]
+        out = sigma[y]
+        for x in range(width):
+            variance = least + unit * (one / min(level[x], one) - one)
+            variance += squares[x] / max(counts[x], one)
+            variance += spread[x] * spread[x] + distance[x] * distance[x]
+            out[x] = np.sqrt(variance)
