@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import importlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.cli import play
 from binocular_recon.config import PRESETS, Options
 
 PAGE = Path(__file__).with_name('nodes.md')
@@ -68,7 +70,22 @@ def page() -> str:
         ]
         head = ('parameter', 'unit', 'range', 'default', *(f'`{name}`' for name in presets))
         parts.append(_table((*head, 'live', 'meaning'), rows))
-    return '\n'.join(parts)
+    return '\n'.join([*parts, _player()])
+
+
+def _player() -> str:
+    """Return the section of the node that publishes a bag: it has arguments, no parameters."""
+    parser = argparse.ArgumentParser(add_help=False)
+    play.add_arguments(parser)
+    rows = [
+        (f'`{" ".join([*one.option_strings, str(one.metavar or "")]).strip()}`', str(one.help))
+        for one in parser._actions  # noqa: SLF001 - argparse offers no other way
+    ]
+    rows = [(name, text.replace('%(default)g', '1')) for name, text in rows]
+    return (
+        '## play_bag\n\nPublish a bag as it was recorded: its bytes, its timing, its QoS, and'
+        ' `/clock` on request.\n\n' + _table(('argument', ''), rows)
+    )
 
 
 def _row(spec: Any, presets: Iterable[str], *, live: bool) -> tuple[str, ...]:

@@ -8,6 +8,9 @@ import sys
 import time
 from types import TracebackType
 
+# How often the line is redrawn at most: steps may take microseconds.
+_REDRAW_S = 0.1
+
 
 class ProgressBar:
     """One line on stderr that is redrawn; nothing at all where stderr is no terminal.
@@ -25,6 +28,7 @@ class ProgressBar:
         self._total, self._unit = max(1, total), unit
         self._start = time.monotonic()
         self._visible = sys.stderr.isatty()
+        self._next_s = 0.0
 
     def __enter__(self) -> ProgressBar:  # noqa: PYI034 - Self is newer than Python 3.10
         """Draw the empty bar."""
@@ -43,12 +47,14 @@ class ProgressBar:
 
     def show(self, done: int, note: str = '') -> None:
         """Draw the bar with ``done`` steps."""
-        if not self._visible:
+        now_s = time.monotonic()
+        if not self._visible or (done and now_s < self._next_s):
             return
+        self._next_s = now_s + _REDRAW_S if done else 0.0
         share = min(1.0, done / self._total)
         text = f' {done} of {self._total} {self._unit}'
         if done:
-            left_s = (time.monotonic() - self._start) / done * max(0, self._total - done)
+            left_s = (now_s - self._start) / done * max(0, self._total - done)
             text += f', {left_s:.0f} s left'
         text += f'  {note}' if note else ''
         columns = shutil.get_terminal_size().columns

@@ -8,11 +8,13 @@ import itertools
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -20,8 +22,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
+from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags import Bag, Topic
+from binocular_recon.nodes.health import Health
 from binocular_recon.nodes.running import init_ros
 
 # How long the start waits for subscribers, the end for the last messages to be acknowledged.
@@ -29,6 +33,7 @@ _START_WITHIN_S, _END_WITHIN_S = 2.0, 5.0
 # A publisher knows its subscribers a little earlier than they know it.
 _SETTLING_S = 0.5
 _CLOCK_PERIOD_S = 0.01
+_REPORT_PERIOD_S = 1.0
 # Between rounds of a recording too short to have a period of its own.
 _ROUND_PAUSE_S = 1.0
 
@@ -97,6 +102,8 @@ def play(
 class Player:
     """Publishers of a bag's topics and the time at which their messages are due.
 
+    Says on ``/diagnostics`` once a second what was published and how late.
+
     Parameters
     ----------
     node : Node
@@ -118,6 +125,9 @@ class Player:
     def __init__(self, node: Node, bag: Bag, *, rate: float = 1.0, clock: bool = False) -> None:
         self._node, self._bag, self._rate = node, bag, rate
         self._length_s = 0.0
+        self._health = Health(node.get_logger())
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._next_report_s = 0.0
         self._clock = node.create_publisher(Clock, '/clock', 1) if clock else None
         self._publishers: dict[Topic, Publisher[Any]] = {}
         for topic in bag.topics:
@@ -150,12 +160,18 @@ class Player:
     def play_once(self) -> None:
         """Publish every message when it is due; late ones follow at once."""
         first_ns = None
-        for message in self._bag.messages(list(self._publishers)):
-            if first_ns is None:
-                start_s, first_ns = time.monotonic(), message.stamp_ns
-            self._length_s = (message.stamp_ns - first_ns) / 1e9 / self._rate
-            self._sleep_until(start_s + self._length_s, message.stamp_ns)
-            self._publishers[message.topic].publish(message.cdr)
+        count = sum(topic.message_count for topic in self._publishers)
+        with ProgressBar(count, 'messages') as progress:
+            for done, message in enumerate(self._bag.messages(list(self._publishers))):
+                if first_ns is None:
+                    start_s, first_ns = time.monotonic(), message.stamp_ns
+                self._length_s = (message.stamp_ns - first_ns) / 1e9 / self._rate
+                due_s = start_s + self._length_s
+                self._sleep_until(due_s, message.stamp_ns)
+                self._publishers[message.topic].publish(message.cdr)
+                self._health.published(message.topic.name)
+                self._report(due_s)
+                progress.show(done + 1)
 
     def pause(self) -> None:
         """Wait between two rounds as long as between two messages of the most frequent topic."""
@@ -182,7 +198,24 @@ class Player:
                 self._clock.publish(_clock(now_ns))
             if left_s <= 0:
                 return
-            time.sleep(min(left_s, _CLOCK_PERIOD_S) if self._clock is not None else left_s)
+            self._report(due_s)
+            period_s = _REPORT_PERIOD_S if self._clock is None else _CLOCK_PERIOD_S
+            time.sleep(min(left_s, period_s))
+
+    def _report(self, due_s: float) -> None:
+        """Publish the diagnostics if a second has passed since the last time."""
+        now_s = time.monotonic()
+        if now_s < self._next_report_s:
+            return
+        self._next_report_s = now_s + _REPORT_PERIOD_S
+        self._health.state('behind the recording', f'{max(0.0, now_s - due_s):.3f} s')
+        name = self._node.get_fully_qualified_name().lstrip('/')
+        status = self._health.status(
+            f'{name}: messages', name, DiagnosticStatus.OK, self.describe(), dropped=Counter()
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
 
 
 def _clock(now_ns: int) -> Clock:

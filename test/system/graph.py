@@ -187,11 +187,11 @@ class Graph:
 
         wait_until(matched, f'{count} subscribers of {", ".join(topics)}')
 
-    def status(self, node: str) -> DiagnosticStatus | None:
+    def status(self, node: str, of: str = 'frames') -> DiagnosticStatus | None:
         """Return the newest status of a node."""
         for array in reversed(self._diagnostics.messages):
             for status in array.status:
-                if status.name == f'{node.lstrip("/")}: frames':
+                if status.name == f'{node.lstrip("/")}: {of}':
                     return status
         return None
 

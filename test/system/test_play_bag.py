@@ -91,6 +91,15 @@ def recorded(bag: Path, topic: str) -> list[bytes]:
     return [data + bytes(-len(data) % 4) for data in messages]
 
 
+def _published(graph: Graph, said: str) -> dict[str, str]:
+    """Return the player's diagnostics once they say what was published."""
+    status = graph.status('play_bag', 'messages')
+    if status is None or not status.message.startswith(said):
+        return {}
+    values = {item.key: item.value for item in status.values}
+    return values if int(values.get('published /left/image_raw', 0)) > 1 else {}
+
+
 # Where messages must not be missed the player loops, for on a busy machine the test may know it
 # only when the first of them are gone, or waits longer than it would.
 
@@ -103,9 +112,12 @@ def test_a_loop_repeats_bytes_order_and_timing_until_interrupted(
     with listening(graph, *TOPICS) as arrivals:
         process = play(bag, '--loop', '--rate', '2')
         wait_until(lambda: len(arrivals) >= 4 * 20, 'four rounds')
+        said = f'playing {bag} at 2 x its speed'
+        values = wait_until(lambda: _published(graph, said), 'what was published')
         process.send_signal(signal.SIGINT)
         log = finish(process, 130)
-    assert f'playing {bag} at 2 x its speed' in log
+    assert said in log
+    assert float(values['behind the recording'].removesuffix(' s')) < 1
     assert log.rstrip().endswith('interrupted')
     for topic in TOPICS:
         sent = recorded(bag, topic)

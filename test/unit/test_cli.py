@@ -198,6 +198,8 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
             bar.show(2)
             assert ('2 of 4 frames' in stream.getvalue()) is seen
             assert ('####' in stream.getvalue()) is seen
+            bar.show(3)  # too soon to be drawn
+            assert '3 of 4 frames' not in stream.getvalue()
         assert stream.getvalue().endswith('\r\033[K') is seen
 
 
