@@ -15,7 +15,8 @@ from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
 from binocular_recon.io.bag_writer import BagWriter, write_pair
-from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.io.files import make_folder, write_json
+from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
 from binocular_recon.simulation.capture import (
     CaptureOptions,
@@ -92,20 +93,6 @@ def load_photographs(folder: Path) -> tuple[ColorImage, ...]:
     return photographs
 
 
-def write_image(path: Path, image: ColorImage) -> None:
-    """Write a picture in the format of its suffix, whole or not at all.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
-
-    """
-    data = cv2.imencode(path.suffix, image)[1]
-    with complete_file(path) as file:
-        file.write(data.tobytes())
-
-
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--output', type=Path, required=True, help='folder to write to')
     parser.add_argument('--seed', type=int, default=0, help='other seed, other data (default 0)')
@@ -132,8 +119,8 @@ def _rods(args: argparse.Namespace) -> None:
         return
     boards: list[dict[str, Any]] = []
     for index, capture in enumerate(captures()):
-        write_image(args.output / f'left_{index:04d}.png', capture.left)
-        write_image(args.output / f'right_{index:04d}.png', capture.right)
+        write_image_file(args.output / f'left_{index:04d}.png', capture.left)
+        write_image_file(args.output / f'right_{index:04d}.png', capture.right)
         boards.append({'name': f'{index:04d}', **_truth(capture)})
     save_rods(board, args.output / 'rods.yaml')
     write_json(args.output / 'truth.json', {'rig': rig.to_mapping(), 'boards': boards})
@@ -164,8 +151,8 @@ def _scene(args: argparse.Namespace) -> None:
             left, right = (render_scene(scene, view, Sensor(), rng) for view in rig.views())
             write_pair(writer, rectified, (left, right), frame * FRAME_NS)
             print(f'frame {frame + 1} of {args.frames}', flush=True)
-    write_image(args.output / 'left.png', left)
-    write_image(args.output / 'right.png', right)
+    write_image_file(args.output / 'left.png', left)
+    write_image_file(args.output / 'right.png', right)
     write_pfm(args.output / 'disparity.pfm', true_disparity(scene, rectified))
     write_json(args.output / 'truth.json', scene_truth(scene, rig))
 

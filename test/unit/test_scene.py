@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.cli import simulate
+from binocular_recon.cli.main import main
 from binocular_recon.io.bags import Bag
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.simulation.render import Sensor
@@ -107,15 +107,38 @@ def test_pictures_are_textured_and_the_same_in_both_cameras() -> None:
     assert same > 0.8
 
 
-def test_command_writes_a_bag_and_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulate, 'survey_rig', lambda pitch_rad: survey_rig(0.25, pitch_rad))
-    parser = argparse.ArgumentParser()
-    simulate.add_arguments(parser)
-    simulate.run(parser.parse_args(['scene', '--output', str(tmp_path / 'out'), '--seed', '3']))
-    out = tmp_path / 'out'
+
+
+@pytest.mark.usefixtures('small')
+def test_command_writes_a_bag_that_reconstructs_to_its_truth(tmp_path: Path) -> None:
+    out, clouds = tmp_path / 'out', tmp_path / 'clouds'
+    scene = ['simulate', 'scene', '--output', str(out), '--seed', '3', '--frames', '2']
+    assert main(scene) == 0
     truth = json.loads((out / 'truth.json').read_text())
     assert truth['lengths_m'] == {'person_1': 1.795, 'person_2': 1.81, 'bicycle': 1.0}
-    assert read_pfm(out / 'disparity.pfm').shape == (300, 480)
+    true = read_pfm(out / 'disparity.pfm')
+    # dense: every ray below the sky meets something
+    assert true.shape == (300, 480) and np.isfinite(true).mean() > 0.99
+    done = main(['reconstruct', str(out / 'bag'), '--output', str(clouds), '--max-frames', '1'])
+    assert done == 0
+    summary = json.loads((clouds / 'summary.json').read_text())
+    assert summary['frames'][0]['density'] == 1.0
     with Bag(out / 'bag') as bag:
-        topics = {topic.name for topic in bag.topics}
-    assert {'left/image_raw', 'right/image_raw'} <= {name.lstrip('/') for name in topics}
+        counts = {topic.name.lstrip('/'): topic.message_count for topic in bag.topics}
+    assert counts['left/image_raw'] == counts['right/camera_info'] == 2
+    error = np.abs(read_pfm(clouds / '000000_disparity.pfm') - true)
+    # left of column 100 much is seen by one camera only
+    assert np.nanmedian(error[:, 100:]) < 0.2
+    assert np.nanmean(error[:, 100:] > 1) < 0.12
+
+
+@pytest.mark.usefixtures('small')
+def test_command_says_where_it_cannot_write(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'taken').write_text('a file')
+    assert main(['simulate', 'scene', '--output', str(tmp_path / 'taken')]) == 1
+    assert 'taken cannot be made' in capsys.readouterr().err
