@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import combinations
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.calibration._board_plane import lateral_limit_m
 from binocular_recon.calibration._layout_kernels import NONE, score_layout
 from binocular_recon.calibration._rod_search import Track
 from binocular_recon.calibration.rods import RodBoard
@@ -22,16 +21,10 @@ IntArray = npt.NDArray[np.int64]
 ANCHORS = 14
 # Best tracks that may serve as its other rods.
 CANDIDATES = 80
-# Rods stand this far off their place at most, besides four of the board's own sigmas, m.
-ASTRAY_M = 0.06
 # Largest deviation of a track's borders from even heights, as a share of a spacing.
 CROOKED = 0.12
 # Apparent spacing of two rods against their distance at the rods' own scale.
 NARROWEST, WIDEST = 0.2, 1.3
-# Rods of a board differ in scale by less than this.
-MOST_SCALE = 4.0
-# Share of the marks found that another identity must have too.
-FEWEST_KEPT = 0.7
 # Rods stand upright on the row: largest cosine between the two in a picture (perspective).
 MOST_SKEW = 0.7
 
@@ -43,9 +36,19 @@ class Anchor(NamedTuple):
     ends: FloatArray  # bottom and top x, y, px per metre: (5,)
 
 
-def identify(
-    tracks: list[Track], board: RodBoard, size: tuple[int, int]
-) -> tuple[FloatArray, float]:
+class Layout(NamedTuple):
+    """Tracks that together look like the board.
+
+    ``marks_px`` (R, M, 2): rough positions of the marks found, NaN = not found; ``width_px``: the
+    usual width of the rods; ``tracks``: indices of the tracks.
+    """
+
+    marks_px: FloatArray
+    width_px: float
+    tracks: frozenset[int]
+
+
+def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Layout | None:
     """Choose the tracks that together look most like the board.
 
     Parameters
@@ -59,11 +62,8 @@ def identify(
 
     Returns
     -------
-    marks_px : (R, M, 2) float64
-        Rough positions of the marks found, px; NaN = not found. All NaN if no arrangement of the
-        tracks looks like the board.
-    width_px : float
-        Typical width of the rods, px; NaN if there is none.
+    Layout or None
+        None if no arrangement of the tracks looks like the board.
 
     """
     marks = np.full((board.count, board.marks_per_rod, 2), np.nan)
@@ -76,7 +76,7 @@ def identify(
     search = _best_single if board.count == 1 else _best_pair
     best = search(anchors, table, looks, board, size)
     if best is None:
-        return marks, np.nan
+        return None
     chosen, indices = best
     widths = []
     for rod, t in enumerate(chosen):
@@ -84,108 +84,7 @@ def identify(
             known = indices[rod] != NONE
             marks[rod, indices[rod][known]] = tracks[t].points_px[known]
             widths.append(tracks[t].width_px)
-    return marks, float(np.median(widths))
-
-
-def lateral_limit_m(board: RodBoard) -> float:
-    """Return how far sideways a rod may be from where the others put it, m."""
-    limit = ASTRAY_M + 4 * float(
-        np.hypot(board.placement_sigma_m, board.tilt_sigma_rad * board.marks_m[-1])
-    )
-    if board.count > 1:
-        limit = min(limit, 0.3 * float(np.diff(board.rods_xz_m[:, 0]).min()))
-    return limit
-
-
-def plane_marks(board: RodBoard, marks_px: FloatArray) -> FloatArray | None:
-    """Return where the plane of the board that fits the marks found puts every mark.
-
-    (R, M, 2) float64, NaN behind the camera. None if fewer than two rods have two marks each.
-    """
-    found = np.isfinite(marks_px[..., 0])
-    if (found.sum(1) >= 2).sum() < 2:
-        return None
-    world = board.world_points()[..., :2]
-    matrix = cv2.findHomography(world[found], marks_px[found], 0)[0]
-    if matrix is None:
-        return None
-    mapped = world @ matrix[:, :2].T + matrix[:, 2]
-    depth = mapped[..., 2:]
-    ahead = depth * np.sign(np.median(depth[found])) > 0
-    projected: FloatArray = np.where(ahead, mapped[..., :2] / np.where(ahead, depth, 1.0), np.nan)
-    length = np.linalg.norm(projected[:, -1] - projected[:, 0], axis=1)
-    usual = np.nanmedian(length[found.any(1)])
-    # beyond the vanishing point or so near that no rig sees it
-    far = ~((length > usual / MOST_SCALE) & (length < usual * MOST_SCALE))
-    projected[far] = np.nan
-    return projected
-
-
-def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArray]:
-    """Yield the same marks as other rods or at other heights, where the spacings allow it.
-
-    With even spacing a board of which a part is seen may be shifted by a rod, or by two marks.
-    Some marks may fall off: feet on light ground that were taken for marks.
-    """
-    rods, marks = np.nonzero(np.isfinite(marks_px[..., 0]))
-    plane = plane_marks(board, marks_px)
-    if plane is None and board.count > 1:
-        return
-    seen = sorted(set(rods))
-    moves = [
-        np.tile((r, m), (len(rods), 1)) for r in (-2, -1, 0, 1, 2) for m in (-2, 0, 2) if r or m
-    ]
-    if len(seen) == 2:
-        # nothing else tells how high the two are against each other
-        moves += [np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-2, 2)]
-    for move in moves:
-        r, m = rods + move[:, 0], marks + move[:, 1]
-        exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)
-        if exists.mean() < FEWEST_KEPT:
-            continue
-        moved = np.full_like(marks_px, np.nan)
-        moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
-        if _plausible(board, moved):
-            yield moved
-
-
-def _plausible(board: RodBoard, marks_px: FloatArray) -> bool:
-    """Return whether the marks lie like the board's, upright and evenly."""
-    found = np.isfinite(marks_px[..., 0])
-    plane = plane_marks(board, marks_px)
-    if plane is None:
-        points, h = marks_px[found], board.marks_m[np.nonzero(found)[1]]
-        fit = np.stack([np.polyval(np.polyfit(h, v, 1), h) for v in points.T], -1)
-        scale = np.linalg.norm(points[-1] - points[0]) / (h[-1] - h[0])
-        off = points - fit
-    else:
-        if not np.isfinite(plane).all():
-            return False
-        scale = np.median(np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1))
-        scale /= np.ptp(board.marks_m)
-        off = marks_px[found] - plane[found]
-        if _skew(plane[0], plane[-1]) > MOST_SKEW:
-            return False
-    return bool(np.abs(off).max() < 2 * CROOKED * scale * np.diff(board.marks_m).min() + 2)
-
-
-def _skew(first: FloatArray, last: FloatArray) -> float:
-    """Return the cosine between two rods (lowest and highest mark) and the row they stand in."""
-    row = last[[0, -1]].mean(0) - first[[0, -1]].mean(0)
-    up = last[-1] - last[0] + first[-1] - first[0]
-    return float(abs(row @ up) / max(np.linalg.norm(row) * np.linalg.norm(up), 1e-9))
-
-
-def expected_in_picture(
-    predicted_px: FloatArray, size: tuple[int, int], margin_px: float
-) -> npt.NDArray[np.bool_]:
-    """Return which marks should be in the picture, (R, M) bool."""
-    limit = np.array(size) - 1 - margin_px
-    with np.errstate(invalid='ignore'):
-        inside: npt.NDArray[np.bool_] = np.all(
-            (predicted_px >= margin_px) & (predicted_px <= limit), -1
-        )
-    return inside
+    return Layout(marks, float(np.median(widths)), frozenset(chosen.tolist()) - {NONE})
 
 
 def _border_table(tracks: list[Track]) -> FloatArray:
@@ -302,3 +201,10 @@ def _best_single(
         if score > best_score:
             best, best_score = (np.array([anchor.track]), indices.copy()), score
     return best
+
+
+def _skew(first: FloatArray, last: FloatArray) -> float:
+    """Return the cosine between two rods (lowest and highest mark) and the row they stand in."""
+    row = last[[0, -1]].mean(0) - first[[0, -1]].mean(0)
+    up = last[-1] - last[0] + first[-1] - first[0]
+    return float(abs(row @ up) / max(np.linalg.norm(row) * np.linalg.norm(up), 1e-9))

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
-from binocular_recon.calibration._board_layout import lateral_limit_m
+from binocular_recon.calibration._board_plane import lateral_limit_m
 from binocular_recon.calibration._layout_kernels import BESIDE
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
@@ -22,54 +23,50 @@ FloatImage = npt.NDArray[np.float32]
 AGREEMENT = 0.45
 # The same for the only mark of a rod.
 LONE_AGREEMENT = 0.8
+# Something in front of the rod may come as near to a border as this, px.
+NEAR_RISE_PX = 2.0
 # How near the frame a mark may be, px.
 FRAME_PX = 1.0
+# Agreement of what is out of the picture.
+OUTSIDE = -9.0
 
 
-def predict_marks(
-    board: RodBoard, marks_px: FloatArray, plane_px: FloatArray | None
-) -> FloatArray:
-    """Return where every mark should be, from those found: (R, M, 2) float64, NaN = no telling.
+class Averaged(NamedTuple):
+    """A picture averaged for rods of one width, in which marks are looked for.
 
-    Where the plane of the board puts it, corrected for each rod by what is found of it.
+    ``middle`` over the rod's width and a good part of it along the rod, ``near`` over few rows;
+    ``rises_px`` (2,): how far from a border their levels are compared.
     """
-    found = np.isfinite(marks_px[..., 0])
-    predicted = np.full_like(marks_px, np.nan) if plane_px is None else plane_px.copy()
-    for rod in range(board.count):
-        h, seen = board.marks_m, found[rod]
-        if plane_px is not None and seen.any():
-            off = marks_px[rod, seen] - predicted[rod, seen]
-            degree = min(1, int(seen.sum()) - 1)
-            predicted[rod] += np.stack([np.polyval(np.polyfit(h[seen], o, degree), h)
-                                        for o in off.T], -1)  # fmt: skip
-        elif plane_px is None and seen.sum() >= 2:
-            predicted[rod] = np.stack(
-                [np.polyval(np.polyfit(h[seen], v, 1), h) for v in marks_px[rod, seen].T], -1
-            )
-    return predicted
+
+    middle: FloatImage
+    near: FloatImage
+    rises_px: FloatArray
+    width_px: float
+
+    @classmethod
+    def of(cls, image: FloatImage, width_px: float) -> Averaged:
+        """Average a picture (H, W) for rods about ``width_px`` wide."""
+        mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
+        middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
+        near = cv2.blur(image, (2 * mid + 1, 3))
+        return cls(middle, near, np.array([1.0 + tall, NEAR_RISE_PX]), width_px)
 
 
 def complete(
-    image: FloatImage,
-    board: RodBoard,
-    marks_px: FloatArray,
-    predicted: FloatArray,
-    width_px: float,
+    averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray:
     """Add the marks that the picture shows where the board says they must be.
 
     Parameters
     ----------
-    image : (H, W) float32
-        Grey levels.
+    averaged : Averaged
+        The picture.
     board : RodBoard
         Places of rods and marks.
     marks_px : (R, M, 2) float64
         Marks found so far, px; NaN = not found.
     predicted : (R, M, 2) float64
         Where every mark should be, px; NaN = not known.
-    width_px : float
-        Width of the rods, px.
 
     Returns
     -------
@@ -77,10 +74,7 @@ def complete(
         Those and the new ones, the new ones to about 2 px.
 
     """
-    mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
-    middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
-    rise = 1.0 + tall
-    levels = _levels(middle, marks_px, predicted, rise)
+    levels = _levels(averaged.middle, marks_px, predicted, averaged.rises_px[0])
     if levels is None:
         return marks_px
     completed = marks_px.copy()
@@ -88,10 +82,15 @@ def complete(
         missing = ~np.isfinite(marks_px[rod, :, 0])
         if not missing.any() or not np.isfinite(predicted[rod]).all():
             continue
-        window = _window(board, predicted, rod, int((~missing).sum()), width_px)
+        known = int((~missing).sum())
+        window = _window(board, predicted, rod, known, averaged.width_px)
         points = np.full((board.marks_per_rod, 2), np.nan)
         agreement = np.zeros(board.marks_per_rod)
-        search_line(middle, predicted[rod], window, levels, rise, points, agreement)
+        middle, near, rises, _ = averaged
+        if known < 2:
+            # only a rod whose place is known may be looked at right beside the border
+            near, rises = middle, rises[[0, 0]]
+        search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
         new = missing & (agreement > AGREEMENT)
         if missing.all() and new.sum() < 2:
             new = missing & (agreement > LONE_AGREEMENT)
@@ -147,7 +146,7 @@ def _agreement(
 ) -> float:
     """Return how well the levels above and below x, y agree with ``levels`` (below, above).
 
-    ``up`` reaches from the border to the middle of the band above. -2 outside the picture.
+    ``up`` reaches from the border to the middle of the band above. ``OUTSIDE`` there.
     """
     height, width = middle.shape
     xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
@@ -155,9 +154,9 @@ def _agreement(
     # next to the frame the bands are short
     ya, yb = max(ya, 0), min(yb, height - 1)
     if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
-        return -2.0
+        return OUTSIDE
     if xa < 0 or xa >= width or xb < 0 or xb >= width:
-        return -2.0
+        return OUTSIDE
     off = abs(middle[yb, xb] - levels[0]) + abs(middle[ya, xa] - levels[1])
     return float(1.0 - off / abs(levels[1] - levels[0]))
 
@@ -165,10 +164,11 @@ def _agreement(
 @kernel
 def search_line(
     middle: FloatImage,
+    near: FloatImage,
     predicted: FloatArray,
     window: FloatArray,
     levels: FloatArray,
-    rise: float,
+    rises: FloatArray,
     points: FloatArray,
     agreement: FloatArray,
 ) -> None:
@@ -176,16 +176,16 @@ def search_line(
 
     Parameters
     ----------
-    middle : (H, W) float32
-        Image averaged over the rod's width.
+    middle, near : (H, W) float32
+        Image averaged over the rod's width, and over a few rows only.
     predicted : (M, 2) float64
         Where the marks should be, px.
     window : (4,) float64
         Largest shift sideways and along, and the steps sideways and along, px.
     levels : (2,) float64
         Grey levels of dark and light bands.
-    rise : float
-        Distance from a border at which levels are compared, px.
+    rises : (2,) float64
+        Distance from a border at which levels of ``middle`` and ``near`` are compared, px.
     points, agreement : (M, 2), (M,) float64
         Written: the marks' places and how well their levels agree.
 
@@ -194,7 +194,7 @@ def search_line(
     dx, dy = predicted[-1, 0] - predicted[0, 0], predicted[-1, 1] - predicted[0, 1]
     length = math.sqrt(dx * dx + dy * dy)
     dx, dy = dx / length, dy / length
-    step = window[2]
+    step, rise = window[2], rises[0]
     sides, alongs = math.ceil(window[0] / step), math.ceil(window[1] / window[3])
     best = -1e9
     best_low = best_high = best_along = 0.0
@@ -212,7 +212,9 @@ def search_line(
                     value = _agreement(
                         middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
                     )
-                    total += max(-0.5, value)
+                    # what is out of the picture tells nothing
+                    if value != OUTSIDE:
+                        total += max(-0.5, value)
                 # equal scores: the smaller shift
                 total -= 1e-3 * (abs(low) + abs(high) + abs(shift))
                 if total > best:
@@ -221,13 +223,15 @@ def search_line(
         f = m / (count - 1)
         side = step * (best_low + f * (best_high - best_low))
         # each mark may still be a little off
-        agreement[m] = -2.0
+        agreement[m] = OUTSIDE
+        expected = levels if m % 2 == 0 else flipped
         for extra in range(-2, 3):
             along = best_along + extra
             x = predicted[m, 0] - side * dy + along * dx
             y = predicted[m, 1] + side * dx + along * dy
-            value = _agreement(
-                middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+            value = max(
+                _agreement(middle, x, y, (rise * dx, rise * dy), expected),
+                _agreement(near, x, y, (rises[1] * dx, rises[1] * dy), expected),
             )
             if value > agreement[m]:
                 agreement[m], points[m, 0], points[m, 1] = value, x, y

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration._board_layout import plane_marks
+from binocular_recon.calibration._band_check import rod_ends
+from binocular_recon.calibration._board_plane import plane_marks
 from binocular_recon.calibration._border_fit import BorderFit, fit_border
 from binocular_recon.calibration._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.rods import RodBoard
@@ -32,10 +33,15 @@ STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
 
 
 class Refined(NamedTuple):
-    """Marks below a pixel: positions (R, M, 2) and standard deviations (R, M), NaN = rejected."""
+    """Marks below a pixel: positions (R, M, 2) and standard deviations (R, M), NaN = rejected.
+
+    ``ends_px`` (N, 2): ends of rods that looked like marks. ``levels`` (2,): dark, light bands.
+    """
 
     marks_px: FloatArray
     sigma_px: FloatArray
+    ends_px: FloatArray
+    levels: FloatArray | None
 
 
 def refine(
@@ -44,6 +50,7 @@ def refine(
     marks_px: FloatArray,
     predicted_px: FloatArray,
     plane_px: FloatArray | None,
+    levels: FloatArray | None = None,
 ) -> Refined:
     """Measure the marks found.
 
@@ -57,6 +64,8 @@ def refine(
         Rough positions of the marks found, and where every mark should be; NaN = none.
     plane_px : (R, M, 2) float64 or None
         Where the plane of the whole board puts the marks; None = not known.
+    levels : (2,) float64 or None
+        Levels of dark and light bands; None = find out.
 
     """
     # rough marks tell the scale of a rod but not how it changes along it
@@ -67,7 +76,7 @@ def refine(
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
         empty = np.full(marks_px.shape, np.nan)
-        return Refined(empty, empty[..., 0])
+        return Refined(empty, empty[..., 0], empty[:0, 0], levels)
     blur = float(np.median([fit.blur_px for fit in fits]))
     curve = _curve_model(fits)
     again = np.stack([_positions(row) for row in first])
@@ -78,10 +87,12 @@ def refine(
     second = _fit_borders(image, board, rods, again, blur, curve)
     _reject_odd_looking(second)
     marks = np.stack([_positions(row) for row in second])
+    ends, levels = rod_ends(image, rods, second, levels)
+    ends_px, marks[ends] = marks[ends], np.nan
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
-    sigma[_strays(board, marks, plane_px)] = np.nan
+    sigma[ends | _strays(board, marks, plane_px)] = np.nan
     marks[~np.isfinite(sigma)] = np.nan
-    return Refined(marks, sigma)
+    return Refined(marks, sigma, ends_px, levels)
 
 
 def _positions(row: list[BorderFit | None]) -> FloatArray:
@@ -125,7 +136,10 @@ def _fit_borders(
         scale = 2 * rod.place(marks[found[0], 1])[2] / board.rod_diameter_m
         for m in found:
             bend = None if curve is None else float(curve @ [1.0, *marks[m]])
-            width = 2 * rod.place(marks[m, 1])[2]
+            middle, _, half = rod.place(marks[m, 1])
+            if not half <= middle[0] <= image.shape[1] - 1 - half:
+                continue  # the frame cuts the rod lengthwise: one side does not tell the middle
+            width = 2 * half
             table[-1][m] = _best_border(
                 image, rod, marks[m, 1], _reach(board, m, scale, width), blur_px, bend
             )

@@ -139,8 +139,9 @@ def accumulate_rows(
     ----------
     image : (H, W) float32
         Grey levels.
-    rows : (n, 5) float64
-        y, z, weight; written: level of the rod, root mean square residual (NaN = not seen).
+    rows : (n, 7) float64
+        y, z, weight; written: level of the rod, root mean square residual (NaN = not seen), level
+        of the background left and right.
     rod : (8,) float64
         Parameters of the rod.
     normal, gradient : (8, 8), (8,) float64
@@ -186,6 +187,7 @@ def accumulate_rows(
             jacobian[i, S1], jacobian[i, S2] = level * slopes[i, 7], level * slopes[i, 8]
             jacobian[i, SIGMA] = left * slopes[i, 3] + level * slopes[i, 4] + right * slopes[i, 5]
         rows[r, 3], rows[r, 4] = level, math.sqrt(square / n)
+        rows[r, 5], rows[r, 6] = left, right
         if weight <= 0:
             continue
         # what the row's own three levels can explain does not count (variable projection)

@@ -20,15 +20,17 @@ from binocular_recon.calibration._rod_fit_kernels import (
     S2,
     SIGMA,
     accumulate_rows,
+    shading,
 )
+from binocular_recon.calibration._rod_start_kernels import centre_rod
 from binocular_recon.camera import FloatArray
 
 FloatImage = npt.NDArray[np.float32]
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8
-# Steps of the fit; the first ones move the lines only.
-ROD_STEPS, LINE_STEPS = 10, 2
+# Steps of the fit; the first ones move the lines only, then some keep the width expected.
+ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 # Most that a step may change C0 and C1, as a share of the width.
 LINE_STEP = 0.33
 # What the rods of a picture have in common: their width against rod_diameter, S1, S2, blur (px)
@@ -45,6 +47,11 @@ MOST_ROWS = 160
 GUARD_PX = 2.5
 # Rows used beyond the outermost marks, as a share of a spacing.
 BEYOND = 0.3
+# Mean contrast of a rod's side, over dark and light bands, against the step between these.
+LEAST_CONTRAST = 0.25
+# The rough lines of rods with a larger half width, px, are centred first on so many rows; a
+# contrast counts no more than this, grey levels.
+WIDE_PX, CENTRE_ROWS, MOST_CONTRAST = 4.0, 40, 60.0
 # Grey levels that a row may be off before it counts less, at least.
 LEAST_RESIDUAL = 2.0
 
@@ -106,20 +113,25 @@ def fit_rods(
     common = COMMON_START.copy()
     for step in range(ROD_STEPS if seen else 0):
         # a blurred model first: its edges reach farther
-        systems = [_normal_equations(image, side, common, 0.25 * 0.5**step) for side in seen]
+        systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
         change = np.zeros(len(common))
         if step >= LINE_STEPS:
             change = _common_change(systems, common)
+            if step < WIDTH_STEPS:
+                change[0] = 0.0
         common = common + change
         for side, (normal, gradient) in zip(seen, systems, strict=True):
             own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
             limit = 2 * side.half_row_px[0] * LINE_STEP
             side.line = side.line + np.clip(own, -limit, limit)
             _weigh_rows(side.rows, side.band)
-    return [None if side is None else side.result(common) for side in sides]
+    # one rod may stand where its background varies with its bands; a board of such is none
+    flat = [side for side in seen if not side.stands_out(common)]
+    lost = flat if 2 * len(flat) > len(seen) else []
+    return [None if side is None or side in lost else side.result(common) for side in sides]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Side:
     """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
 
@@ -146,6 +158,31 @@ class _Side:
             return None
         return RodFit(self.parameters(common), self.y_middle, self.y_scale)
 
+    def stands_out(self, common: FloatArray) -> bool:
+        """Return whether both sides can be told from what is beside the rod.
+
+        A background as dark as the dark bands is darker than the light ones, so that the mean
+        contrast of both kinds of band is half their step at least; at the border between two rows
+        of a chessboard's squares it is nothing on one side.
+        """
+        seen = np.isfinite(self.rows[:, 3])
+        _, _, weight, level, _, left, right = self.rows[seen].T
+        light = self.band[seen] % 2 == 1
+        if weight[light].sum() <= 0 or weight[~light].sum() <= 0:
+            return True
+        dark_level, light_level = (
+            np.average(level[kind], weights=weight[kind]) for kind in (~light, light)
+        )
+        for side, beside in ((-1.0, left), (1.0, right)):
+            edge = shading(side, common[1], common[2])
+            contrast = np.abs(edge * level - beside)
+            mean = np.mean(
+                [np.average(contrast[kind], weights=weight[kind]) for kind in (~light, light)]
+            )
+            if mean < LEAST_CONTRAST * edge * (light_level - dark_level):
+                return False
+        return True
+
 
 def _start(
     image: FloatImage,
@@ -170,12 +207,15 @@ def _start(
     away = np.abs(y[:, None] - borders_y).min(1)
     y = y[away > GUARD_PX + 0.5 * width * np.sqrt(lean**2 - 1)]
     y = y[:: len(y) // MOST_ROWS + 1]
-    rows = np.zeros((len(y), 5))
+    rows = np.zeros((len(y), 7))
     rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
     band = (borders_y > y[:, None]).sum(1)
     half = 0.5 * lean * np.array([width, taper])
     bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
-    return _Side(np.array([x0, slope]), half, bend, middle, scale, rows, band)
+    line = np.array([x0, slope])
+    if half[0] > WIDE_PX:
+        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MOST_CONTRAST)
+    return _Side(line, half, bend, middle, scale, rows, band)
 
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:

@@ -11,13 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration._board_layout import (
-    expected_in_picture,
-    identify,
-    other_identities,
-    plane_marks,
-)
-from binocular_recon.calibration._guided_search import complete, predict_marks
+from binocular_recon.calibration._board_layout import Layout, identify
+from binocular_recon.calibration._board_plane import plane_marks, predict_marks
+from binocular_recon.calibration._guided_search import Averaged, complete
+from binocular_recon.calibration._identity import settle_identity
 from binocular_recon.calibration._refinement import Refined, refine
 from binocular_recon.calibration._rod_search import find_tracks
 from binocular_recon.calibration.rods import RodBoard
@@ -33,12 +30,12 @@ LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
 # With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
 ENOUGH = 0.6
 FURTHER_LEANS = (-0.22, 0.22)
-# By how many marks (missing ones count half) an identity must beat every other one.
-CLEAR_MARGIN = 1.5
+# Share of the marks that the only rod of a board must show.
+LONE_ROD_SHARE = 0.8
+# Arrangements of candidates looked at before giving up.
+MOST_LAYOUTS = 3
 # Identities adopted one after the other before giving up.
 MOST_IDENTITIES = 3
-# Marks nearer to the frame than this may be missed, px.
-FRAME_MARGIN_PX = 4.0
 NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
 AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
@@ -108,25 +105,41 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
 
 def _detect(grey: FloatImage, board: RodBoard, leans: tuple[float, ...]) -> Detection:
     stretched, threshold = _stretch(grey)
-    size = grey.shape[1], grey.shape[0]
-    rough, width = identify(find_tracks(stretched, board, threshold, leans), board, size)
-    if not np.isfinite(rough).any():
-        return Detection(rough, rough[..., 0], (NOTHING,))
-    nothing = np.full_like(rough, np.nan)
+    tracks = find_tracks(stretched, board, threshold, leans)
+    for _ in range(MOST_LAYOUTS):
+        layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
+        if layout is None:
+            break
+        detection = _settle(stretched, board, layout)
+        if detection is not None:
+            return detection
+        # regular clutter, such as a chessboard, looked more like the board
+        tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
+    return _nothing(board, NOTHING)
+
+
+def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | None:
+    """Measure the marks of a layout and make sure which they are; None if it is no board."""
+    rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
     for _ in range(MOST_IDENTITIES):
-        refined = _measure(stretched, board, rough, width)
+        refined = _measure(image, averaged, board, rough)
         if not _convincing(board, refined.marks_px):
-            return Detection(nothing, nothing[..., 0], (NOTHING,))
-        identity = _identity(stretched, board, refined.marks_px, width)
+            return None
+        identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
             return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
         if identity is None:
             break
         rough = identity
-    return Detection(nothing, nothing[..., 0], (AMBIGUOUS,))
+    return _nothing(board, AMBIGUOUS)
 
 
-def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: float) -> Refined:
+def _nothing(board: RodBoard, message: str) -> Detection:
+    marks = np.full((board.count, board.marks_per_rod, 2), np.nan)
+    return Detection(marks, marks[..., 0], (message,))
+
+
+def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: FloatArray) -> Refined:
     """Measure the marks found roughly, then those that the board says must be there too."""
     plane = plane_marks(board, rough)
     refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
@@ -135,7 +148,7 @@ def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: fl
         known = refined.marks_px
         plane = plane_marks(board, known)
         predicted = predict_marks(board, known, plane)
-        more = complete(image, board, known, predicted, width_px)
+        more = complete(averaged, board, known, predicted)
         if np.isfinite(more).sum() == np.isfinite(known).sum():
             break
         refined = refine(image, board, more, predicted, plane)
@@ -143,51 +156,15 @@ def _measure(image: FloatImage, board: RodBoard, rough: FloatArray, width_px: fl
 
 
 def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
-    """Return whether enough marks stand in line for a board: three on each of two rods."""
-    per_rod = np.isfinite(marks_px[..., 0]).sum(1)
-    complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
-    return bool(complete_rods >= min(2, board.count))
+    """Return whether enough marks stand in line for a board: three on each of two rods.
 
-
-def _identity(
-    image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float
-) -> FloatArray | None:
-    """Return the marks with the identity that the picture supports best; None if two do.
-
-    Every other identity that the spacings allow is tried: more marks must then be somewhere else,
-    and they are there or not.
+    A lone rod has nothing but its marks to tell it from a post with bands: most must be there.
     """
-    scores = [_support(image, board, marks_px, width_px)]
-    ways = [marks_px]
-    count = np.isfinite(marks_px[..., 0]).sum()
-    for other in other_identities(board, marks_px):
-        ways.append(other)
-        # marks that the other identity has no place for speak against it
-        dropped = count - np.isfinite(other[..., 0]).sum()
-        scores.append(_support(image, board, other, width_px) - 0.5 * dropped)
-    order = np.argsort(-np.array(scores), kind='stable')
-    if scores[order[0]] <= 0:
-        return None
-    if len(ways) > 1 and scores[order[0]] - scores[order[1]] < CLEAR_MARGIN:
-        return None
-    best: FloatArray = ways[order[0]]
-    return best
-
-
-def _support(image: FloatImage, board: RodBoard, marks_px: FloatArray, width_px: float) -> float:
-    """Return the number of marks found under an identity less half the number missing."""
-    plane = plane_marks(board, marks_px)
-    predicted = predict_marks(board, marks_px, plane)
-    more = complete(image, board, marks_px, predicted, width_px)
-    new = np.isfinite(more[..., 0]) & ~np.isfinite(marks_px[..., 0])
-    added = 0
-    if new.any():
-        only_new = np.where(new[..., None], more, np.nan)
-        added = int(np.isfinite(refine(image, board, only_new, predicted, plane).sigma_px).sum())
-    found = int(np.isfinite(marks_px[..., 0]).sum()) + added
-    size = image.shape[1], image.shape[0]
-    expected = expected_in_picture(predicted, size, FRAME_MARGIN_PX)
-    return found - 0.5 * max(0, int(expected.sum()) - found)
+    per_rod = np.isfinite(marks_px[..., 0]).sum(1)
+    if board.count == 1:
+        return bool(per_rod[0] >= LONE_ROD_SHARE * board.marks_per_rod)
+    complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
+    return bool(complete_rods >= 2)
 
 
 def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:

@@ -155,7 +155,7 @@ def visible_marks(
 ) -> npt.NDArray[np.bool_]:
     """Return which marks can be seen: (R, M) bool.
 
-    Inside the picture, and nothing opaque within ``CLEAR_ALONG_PX`` along the rod on the middle
+    Inside the picture with both sides of the rod, and nothing opaque within ``CLEAR_ALONG_PX`` along the rod on the middle
     ``CLEAR_ACROSS`` of its width.
     """
     marks = placed.marks_xyz()
@@ -172,7 +172,9 @@ def visible_marks(
         + CLEAR_ACROSS * t.ravel()[:, None] * (width[..., None] * across)[..., None, :]
     )
     limit = np.array(view.camera.size) - 1 - FRAME_MARGIN_PX
-    inside = np.all((center >= FRAME_MARGIN_PX) & (center <= limit), -1)
+    half = 0.5 * width[..., None] * across
+    ends = np.stack([center - half, center, center + half])
+    inside = np.all((ends >= FRAME_MARGIN_PX) & (ends <= limit), (0, -1))
     probe = np.nan_to_num(probe, nan=-1e6).astype(np.float32)
     hidden = cv2.remap(
         opacity, probe[..., 0].reshape(-1, 1), probe[..., 1].reshape(-1, 1), cv2.INTER_LINEAR

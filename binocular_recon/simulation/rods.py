@@ -155,7 +155,7 @@ def draw_board(
     roll_rad : tuple of float
         Range of the board's tilt in the picture, to either side.
     cut : bool
-        True: the frame cuts some rod in some picture, but most marks are seen; False: every mark
+        True: the frame cuts some rod in some picture, but each shows most marks; False: every mark
         is at least ``margin_px`` inside both pictures.
     margin_px : float
         Distance of a seen mark from the frame.
@@ -181,7 +181,8 @@ def draw_board(
         per_rod = seen.all(0).sum(1)
         if seen.all() and not cut:
             return placed
-        if cut and not seen.all() and seen.mean() > 0.6 and (per_rod >= 3).any():
+        most = (seen.mean((1, 2)) > 0.6).all()
+        if cut and not seen.all() and most and (per_rod >= 3).any():
             return placed
     raise CalibrationError(
         f'a board {np.ptp(board.rods_xz_m[:, 0]):g} m wide and {board.marks_m[-1]:g} m high does'

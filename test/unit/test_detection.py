@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.calibration._board_plane import slant
 from binocular_recon.calibration.detection import detect_rods
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.errors import ImageError
@@ -184,6 +185,45 @@ def test_what_cannot_be_told_is_refused() -> None:
     detection = detect_rods(image, placed.board)
     assert not detection.found.any()
     assert 'too little of the board is in view' in detection.messages[0]
+
+
+def test_chessboard_is_no_board() -> None:
+    """It looks more like five rods than the rods do, until its borders are measured."""
+    image, placed = picture(paper_board(), (0.2, 1.2, 8.0))
+    rows, columns = np.mgrid[:300, :210] // 30
+    image[100:400, 100:310] = np.where((rows + columns) % 2, 20, 235)[..., None]
+    detection = detect_rods(image, placed.board)
+    assert detection.found.all()
+    assert np.abs(detection.marks_px - placed.borders_px(LEFT)).max() < 0.3
+
+
+def test_feet_on_snow_are_no_marks() -> None:
+    """With the tops hidden as well, feet and marks would fit the board shifted by two."""
+    image, placed = picture(paper_board(), (0.0, 1.2, 8.0), background=225.0)
+    truth = placed.borders_px(LEFT)
+    for top in (0, 4):
+        hidden = image.copy()
+        x0, y0 = truth[:, top:].min((0, 1)).astype(int) - 20
+        x1, y1 = truth[:, top:].max((0, 1)).astype(int) + 20
+        if top:
+            hidden[max(0, y0 - 60) : y1, x0:x1] = 90
+        detection = detect_rods(hidden, placed.board)
+        assert detection.found.sum() == (20 if top else 30)
+        assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
+
+
+def test_rods_do_not_stand_on_steps() -> None:
+    """Two rods, one at marks 3 to 5 instead of 1 to 3: as in a picture of stairs."""
+    board = board_of([0.0, 1.2], [0.3, 0.6, 0.9, 1.2, 1.5, 1.8])
+    placed = place_board(
+        board, np.array([0.0, 0.7, 0.1]), np.array([0.5, 1.2, 12.0]), np.random.default_rng(0)
+    )
+    marks = placed.borders_px(LEFT)
+    assert slant(board, marks, LEFT.camera.size) < 0.1
+    marks[0, 2:] = marks[0, :4]
+    marks[0, :2] = np.nan
+    assert slant(board, marks, LEFT.camera.size) > 0.3
+    assert slant(board, np.full_like(marks, np.nan), LEFT.camera.size) == 0
 
 
 def test_no_rods_no_marks() -> None:
