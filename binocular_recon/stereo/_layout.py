@@ -20,6 +20,8 @@ FloatImage = npt.NDArray[np.float32]
 
 # Grey levels farther than this outside 0..255 are no interpolation overshoot but another unit.
 _OVERSHOOT = 128.0
+# Standard deviation of `even_levels`.
+CONTRAST = 50.0
 _FINE_STEPS = 257  # per grey level: the steps of a 16-bit picture
 _EXACT = 2.0**24  # float32 holds every integer up to here
 _STEPS_OF_TEXTURE = 1  # per standard deviation of the least texture: rounding is a third of it
@@ -44,6 +46,20 @@ def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatIm
                 ' (images.to_grey converts other pictures)'
             )
     return left, right
+
+
+def exposure_gain(left: FloatImage) -> float:
+    """Return the factor that brings a picture to `CONTRAST`."""
+    known = left[np.isfinite(left)]
+    deviation = float(known.std()) if known.size else 0.0
+    return CONTRAST / deviation if deviation > 0 else 1.0
+
+
+def even_levels(left: FloatImage) -> FloatImage:
+    """Return grey levels of the same contrast whatever the exposure; 0 where there is no data."""
+    levels = left * np.float32(exposure_gain(left))
+    levels[np.isnan(levels)] = 0
+    return levels
 
 
 def padded_range(config: MatchConfig) -> int:

@@ -9,13 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
-from binocular_recon._simd import LANES, at_most, larger, load, splat, store
+from binocular_recon._simd import LANES, at_most, larger, load, smaller, splat, store
 
 Array = npt.NDArray[Any]
 
 REACH = 2  # samples on each side of the pixel ...
 SPACING = 3  # ... every so many pixels: neighbours repeat the same error
 BORDER = REACH * SPACING
+MEDIAN_REACH = 3
+MEDIAN_SPACING = 2
+MEDIAN_BORDER = MEDIAN_REACH * MEDIAN_SPACING
+BISECTIONS = 10
 FEW = np.float32(5)  # samples that a plane needs
 FLAT = np.float32(1e-2)  # least spread of the samples: a plane needs two directions
 
@@ -108,16 +112,25 @@ def drop_negative(whole: Array, disparity: Array, start: int, stop: int) -> None
 
 
 @kernel
-def border_strip(disparity: Array, values: Array, bordered: Array, start: int, stop: int) -> None:
-    """Put ``values``, NaN where ``disparity`` is, inside the border of NaN for `plane_strip`."""
-    width = disparity.shape[1]
+def put_inside(
+    values: Array, shown: Array, border: int, bordered: Array, start: int, stop: int
+) -> None:
+    """Put ``values`` (H, W), NaN where ``shown`` is, inside a border of NaN.
+
+    ``bordered`` (H + 2 border, W + 2 border + LANES); the first and the last rows are filled with
+    their neighbours.
+    """
+    height, width = values.shape
+    if start == 0:
+        bordered[:border] = np.nan
+    if stop == height:
+        bordered[border + height :] = np.nan
     for y in range(start, stop):
-        row = bordered[y + BORDER]
-        row[:BORDER] = np.nan
-        row[BORDER + width :] = np.nan
+        row = bordered[y + border]
+        row[:border] = np.nan
+        row[border + width :] = np.nan
         for x in range(width):
-            here = disparity[y, x]
-            row[BORDER + x] = values[y, x] if here == here else here
+            row[border + x] = values[y, x] if shown[y, x] == shown[y, x] else np.float32(np.nan)
 
 
 @kernel
@@ -140,6 +153,58 @@ def fill_holes(
             if fill[labels[y, x]] and not np.isnan(half[0][y // 2, x // 2]):
                 whole[0][y, x] = 2 * half[0][y // 2, x // 2]
                 whole[1][y, x] = 2 * half[1][y // 2, x // 2]
+
+
+@kernel
+def weighted_median_strip(
+    values: Array, levels: Array, softness: float, keep: float, out: Array, start: int, stop: int
+) -> None:
+    """Replace values that are no weighted median of those around, by it.
+
+    ``values`` and ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of
+    NaN; ``out`` (H, W + LANES). Weights fall with the step of grey level, to a half at
+    ``softness``; a value within ``keep`` of its median stays.
+    """
+    width = values.shape[1] - 2 * MEDIAN_BORDER - LANES
+    count = (2 * MEDIAN_REACH + 1) ** 2
+    samples, weights = np.empty(count * LANES, np.float32), np.empty(count * LANES, np.float32)
+    zero, one, half = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(0.5))
+    scale, near, most = (
+        splat(np.float32(1 / softness)),
+        splat(np.float32(keep)),
+        splat(np.float32(1e9)),
+    )
+    for y in range(start, stop):
+        for x in range(0, width, LANES):
+            here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
+            level = load(levels[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
+            low = high = here
+            total = zero
+            at = 0
+            for j in range(-MEDIAN_REACH, MEDIAN_REACH + 1):
+                row = y + MEDIAN_BORDER + j * MEDIAN_SPACING
+                for i in range(-MEDIAN_REACH, MEDIAN_REACH + 1):
+                    column = x + MEDIAN_BORDER + i * MEDIAN_SPACING
+                    value = load(values[row], column)
+                    step = (load(levels[row], column) - level) * scale
+                    weight = one / (one + step * step)
+                    weight = at_most(weight, one, at_most(value, most, weight, zero), zero)
+                    value = at_most(value, most, value, here)
+                    store(samples, at, value)
+                    store(weights, at, weight)
+                    total, low, high = total + weight, smaller(low, value), larger(high, value)
+                    at += LANES
+            enough = total * half
+            for _ in range(BISECTIONS):
+                middle = (low + high) * half
+                below = zero
+                for k in range(0, count * LANES, LANES):
+                    below = below + at_most(load(samples, k), middle, load(weights, k), zero)
+                low = at_most(below, enough, middle, low)
+                high = at_most(below, enough, high, middle)
+            median = (low + high) * half
+            step = median - here
+            store(out[y], x, at_most(larger(step, zero - step), near, here, median))
 
 
 @kernel

@@ -10,12 +10,11 @@ from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
 from binocular_recon.stereo._aggregation_kernels import Decision, Penalties, match_strip
 from binocular_recon.stereo._cost_kernels import CostSource
-from binocular_recon.stereo._layout import lay_out, padded_range
+from binocular_recon.stereo._layout import even_levels, exposure_gain, lay_out, padded_range
 
 FloatImage = npt.NDArray[np.float32]
 
-# Grey levels below are those of a left picture of this standard deviation, whatever the exposure.
-CONTRAST = 50.0
+# Grey levels below are `even_levels`: they do not change with the exposure.
 # Standard deviation of the pictures' noise: texture below it tells little.
 NOISE = 2.0
 # P2 falls with the step of grey level that a change of disparity goes with: P2 up to
@@ -50,7 +49,7 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
     )
-    levels = np.nan_to_num(left * _exposure_gain(left)).clip(0, 255).astype(np.uint8)
+    levels = even_levels(left).clip(0, 255).astype(np.uint8)
     penalties = _penalties(config)
     over_strips(
         lambda start, stop: match_strip(source, levels, penalties, decision, start, stop),
@@ -64,7 +63,7 @@ def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> Co
     size = config.correlation_window_size
     big, steps = lay_out(left, right, config, size // 2)
     small = big._replace(size=max(size - 2, 3), least_energy=0.0)
-    noise = NOISE / _exposure_gain(left) * steps * small.size
+    noise = NOISE / exposure_gain(left) * steps * small.size
     return CostSource(
         big,
         small,
@@ -73,13 +72,6 @@ def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> Co
         config.disparity_range,
         padded_range(config),
     )
-
-
-def _exposure_gain(left: FloatImage) -> float:
-    """Return the factor that brings a picture to `CONTRAST`."""
-    known = left[np.isfinite(left)]
-    deviation = float(known.std()) if known.size else 0.0
-    return CONTRAST / deviation if deviation > 0 else 1.0
 
 
 def _penalties(config: MatchConfig) -> Penalties:

@@ -122,7 +122,7 @@ def _measure(
     choose = _semi_global.select_disparities if config.semi_global else _select_local
     disparity = choose(left, right, config)
     _drop_speckles(disparity, config)
-    return smooth(disparity) if config.subpixel else (disparity, np.zeros_like(disparity))
+    return smooth(disparity, left) if config.subpixel else (disparity, np.zeros_like(disparity))
 
 
 def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:

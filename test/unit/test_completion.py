@@ -6,12 +6,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from binocular_recon._simd import LANES
+from binocular_recon.stereo._refinement_kernels import (
+    MEDIAN_BORDER,
+    MEDIAN_SPACING,
+    weighted_median_strip,
+)
 from binocular_recon.stereo.completion import (
     COMPLETED_CONFIDENCE,
     complete,
     fill_from_background,
 )
-from binocular_recon.stereo.refinement import SAME_SURFACE_PX, smooth
+from binocular_recon.stereo.refinement import SAME_SURFACE_PX, _inside, smooth
 
 pytestmark = pytest.mark.kernel
 NAN = np.nan
@@ -79,7 +85,8 @@ def test_planes_reduce_noise_and_keep_slopes_and_steps() -> None:
     truth = 20 + 0.08 * x - 0.05 * y + 15 * (x > 45)
     noisy = (truth + rng.normal(0, 0.2, truth.shape)).astype(np.float32)
     noisy[25:30, 20:24] = NAN
-    smoothed, sigma = smooth(noisy)
+    guide = np.full(truth.shape, 90, np.float32)
+    smoothed, sigma = smooth(noisy, guide)
     np.testing.assert_array_equal(np.isnan(smoothed), np.isnan(noisy))
     error = (smoothed - truth)[8:-8, 8:-8]
     assert np.nanstd(error) < 0.06
@@ -87,5 +94,43 @@ def test_planes_reduce_noise_and_keep_slopes_and_steps() -> None:
     assert np.nanmax(np.abs(error)) < SAME_SURFACE_PX
     np.testing.assert_array_equal(np.isnan(sigma), np.isnan(noisy))
     assert np.nanmin(sigma) >= 0.15
-    steady, _ = smooth(truth.astype(np.float32))
+    steady, _ = smooth(truth.astype(np.float32), guide)
     assert np.abs(steady - truth)[8:-8, 8:-8].max() < 0.03  # at the step, of the median
+
+
+def test_weighted_median_equals_its_naive_twin() -> None:
+    rng = np.random.default_rng(2)
+    shape, border = (17, 37), MEDIAN_BORDER
+    values = rng.choice([5.0, 6.5, 20.0], shape).astype(np.float32)
+    levels = rng.choice([10.0, 60.0], shape).astype(np.float32)
+    values[4, 5:9] = levels[9, 20] = NAN
+    median = np.empty((17, 37 + LANES), np.float32)
+    weighted_median_strip(
+        _inside(values, values, border), _inside(levels, levels, border), 16.0, 1.0, median, 0, 17
+    )
+    offsets = range(-border, border + 1, MEDIAN_SPACING)
+    for y, x in np.ndindex(shape):
+        if np.isnan(values[y, x]) or np.isnan(levels[y, x]):
+            continue
+        seen = [(y + j, x + i) for j in offsets for i in offsets]
+        seen = [p for p in seen if 0 <= p[0] < 17 and 0 <= p[1] < 37]
+        seen = [p for p in seen if np.isfinite(values[p]) and np.isfinite(levels[p])]
+        around = np.array([values[p] for p in seen])
+        steps = np.array([levels[p] for p in seen]) - levels[y, x]
+        weights = 1 / (1 + (steps / 16) ** 2)
+        below = {v: weights[around <= v].sum() / weights.sum() for v in np.unique(around)}
+        if min(abs(share - 0.5) for share in below.values()) < 1e-3:
+            continue  # either side
+        expected = min(v for v, share in below.items() if share > 0.5)
+        if abs(expected - values[y, x]) <= 1:
+            expected = values[y, x]
+        assert abs(median[y, x] - expected) < 0.05
+
+
+def test_borders_move_to_where_the_picture_has_them() -> None:
+    guide = np.full((40, 60), 50, np.float32)
+    guide[:, 30:] = 150
+    disparity = np.where(np.arange(60) < 28, 4, 18) * np.ones((40, 1), np.float32)
+    smoothed, _ = smooth(disparity.astype(np.float32), guide)
+    np.testing.assert_allclose(smoothed[:, 28:30], 4, atol=0.05)
+    np.testing.assert_allclose(smoothed[:, 30:], 18, atol=0.05)

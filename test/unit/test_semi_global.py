@@ -11,6 +11,7 @@ import pytest
 from binocular_recon.config import MatchConfig
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._cost_kernels import new_cost_rows, next_cost_row
+from binocular_recon.stereo._layout import even_levels, exposure_gain
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel
@@ -59,7 +60,7 @@ def test_costs_equal_the_naive_twin(size: int, first: int, count: int, fine: boo
         disparity_range=count,
         texture_threshold=0.0,
     )
-    noise = _semi_global.NOISE / _semi_global._exposure_gain(left)
+    noise = _semi_global.NOISE / exposure_gain(left)
     expected, scored = naive_sgm.costs(left, right, size, first, count, noise)
     found, has = volume(left, right, config)
     np.testing.assert_array_equal(has, scored)
@@ -79,8 +80,7 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
         subpixel=False,
     )
     costs, scored = volume(left, right, config)
-    gain = _semi_global._exposure_gain(left)
-    levels = np.nan_to_num(left * gain).clip(0, 255).astype(np.int64)
+    levels = even_levels(left).clip(0, 255).astype(np.int64)
     penalties = _semi_global._penalties(config)
     total = naive_sgm.aggregate(costs >> 3, levels, penalties.P1, penalties.P2.astype(np.int64))
     expected = naive_sgm.choose(total, first, tolerance)
