@@ -19,6 +19,8 @@ from binocular_recon.camera import FloatArray
 METHODS = {'planar': '#9aa7b4', 'corrected': '#e0a13a', 'adjusted': '#0b7a75'}
 # Columns and rows of the map of the depth sigma.
 _MAP = 24, 15
+# Bars of the chart of marks by distance.
+_DISTANCE_BINS = 12
 
 
 def board_errors(result: CalibrationResult) -> str:
@@ -75,6 +77,48 @@ def known_heights(result: CalibrationResult) -> str:
         inside = np.abs(errors[name]) <= extent
         chart.dots(np.column_stack([beside[inside], errors[name][inside]]), color, 1.8, 0.7)
     return chart.svg('Errors of reconstructed marks by distance')
+
+
+def heights_of_marks(result: CalibrationResult) -> str:
+    """Draw what each mark of a rod is off on average, against its known height (Fig. 10)."""
+    target = result.estimate.problem.target
+    means, spreads = {}, {}
+    for name in METHODS:
+        errors = 1e3 * mark_errors_m(getattr(result, name).marks_m, target)
+        errors = errors.reshape(-1, len(target.heights_m))
+        means[name], spreads[name] = np.nanmean(errors, axis=0), np.nanstd(errors, axis=0)
+    extent = 1.1 * max(np.nanmax(np.abs(means[name]) + spreads[name]) for name in METHODS)
+    heights = target.heights_m
+    margin = 0.08 * float(np.ptp(heights))
+    chart = Chart(
+        (float(heights[0]) - margin, float(heights[-1]) + margin),
+        (-extent, extent),
+        labels=('known height, m', 'reconstructed - known, mm'),
+    )
+    for shift, (name, color) in enumerate(METHODS.items()):
+        places = heights + (shift - 1) * 0.15 * margin
+        low, high = (
+            np.column_stack([places, means[name] + sign * spreads[name]]) for sign in (-1, 1)
+        )
+        chart.strokes(low, high, color, 2)
+        chart.dots(np.column_stack([places, means[name]]), color, 3.5, 1)
+    return chart.svg('Reconstructed marks against their known heights')
+
+
+def depth_coverage(result: CalibrationResult) -> str:
+    """Draw how many marks were seen by both cameras at each distance."""
+    seen = np.isfinite(result.adjusted.residuals_px).all(axis=-1)
+    counts, edges = np.histogram(result.marks_m[..., 2][seen], bins=_DISTANCE_BINS)
+    chart = Chart(
+        (float(edges[0]), float(edges[-1])),
+        (0, 1.08 * float(counts.max())),
+        labels=('distance, m', 'marks'),
+    )
+    gap = 0.04 * (edges[1] - edges[0])
+    for count, low, high in zip(counts, edges, edges[1:], strict=False):
+        corners = np.array([[low + gap, 0], [high - gap, count]])
+        chart.box(corners, METHODS['adjusted'], f'{count} marks at {low:.3g} to {high:.3g} m')
+    return chart.svg('Marks at each distance')
 
 
 def plan(result: CalibrationResult) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from binocular_recon.calibration._linearisation import marks_in_left
+from binocular_recon.calibration._linearisation import marks_in_left, predict
 from binocular_recon.calibration.advice import Advice
 from binocular_recon.calibration.distortion import Evidence
 from binocular_recon.calibration.estimation import Estimate
@@ -129,6 +129,11 @@ class CalibrationResult:
     def marks_m(self) -> FloatArray:
         """Adjusted marks on the rods' axes in the left camera, (B, R, M, 3) m."""
         return marks_in_left(self.estimate.state, self.estimate.problem.target)
+
+    @cached_property
+    def predicted_px(self) -> FloatArray:
+        """Marks as the adjusted calibration says they are seen, (B, R, M, 4) px."""
+        return predict(self.estimate.state, self.estimate.problem.target)
 
     @cached_property
     def sigma(self) -> dict[str, float]:

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
     if (args.captures is None) == (args.points is None):
         raise ConfigError('give either a folder of pictures or --points FILE.csv')
     result = _from_points(args) if args.points else _from_pictures(args)
-    files = save_calibration(result, args.output)
+    files = save_calibration(result, args.output, captures=args.captures)
     print(summary(result))
     print(f'{", ".join(str(path) for path in files)} ({time.monotonic() - start:.1f} s)')
 

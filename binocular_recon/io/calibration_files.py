@@ -13,6 +13,7 @@ from pathlib import Path
 from binocular_recon.calibration.report import render_report
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.errors import FileError
+from binocular_recon.io.board_pictures import board_pictures
 from binocular_recon.io.calibration_yaml import write_rig
 from binocular_recon.io.files import complete_file, flush, make_folder, write_json
 
@@ -24,7 +25,10 @@ _PARTIAL, _COMPLETE = '.calibration.part', '.calibration.new'
 
 
 def save_calibration(
-    result: CalibrationResult, folder: Path, names: tuple[str, str] = ('left', 'right')
+    result: CalibrationResult,
+    folder: Path,
+    names: tuple[str, str] = ('left', 'right'),
+    captures: Path | None = None,
 ) -> tuple[Path, ...]:
     """Write a calibration; the one in the folder moves to ``previous/``.
 
@@ -39,6 +43,8 @@ def save_calibration(
         Made with its parents where it does not exist.
     names : (str, str)
         Names of the left and the right camera, which their drivers compare.
+    captures : Path, optional
+        Folder of the boards' pictures, for the report.
 
     Returns
     -------
@@ -60,7 +66,8 @@ def save_calibration(
         write_rig(partial, result.rig, names)
         write_json(partial / 'calibration.json', result.to_mapping())
         with complete_file(partial / 'report.html') as file:
-            file.write(render_report(result).encode())
+            pictures = board_pictures(result, captures) if captures else ()
+            file.write(render_report(result, pictures).encode())
         for path in partial.iterdir():
             flush(path)
         flush(partial)

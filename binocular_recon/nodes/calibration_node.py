@@ -221,7 +221,7 @@ class CalibrationNode(StereoNode):
                 raise CalibrationError('there is nothing to save; calibrate first')
             options = self.options.of(RodOptions)
             names = options.left_camera_name, options.right_camera_name
-            save_calibration(self._result, self._output, names)
+            save_calibration(self._result, self._output, names, self._store.folder)
             self.health.state('calibration', f'saved in {self._output}')
             rig = self._result.rig
             told = [

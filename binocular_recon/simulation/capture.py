@@ -155,8 +155,8 @@ def visible_marks(
 ) -> npt.NDArray[np.bool_]:
     """Return which marks can be seen: (R, M) bool.
 
-    Inside the picture with both sides of the rod, and nothing opaque within ``CLEAR_ALONG_PX`` along the rod on the middle
-    ``CLEAR_ACROSS`` of its width.
+    Inside the picture with both sides of the rod, and nothing opaque within ``CLEAR_ALONG_PX``
+    along the rod on the middle ``CLEAR_ACROSS`` of its width.
     """
     marks = placed.marks_xyz()
     center = placed.borders_px(view)

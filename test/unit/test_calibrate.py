@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import json
+import re
+from base64 import b64decode
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,7 +73,22 @@ def test_pictures_to_a_calibrated_rig(
     assert abs(rig.baseline_m - 1.0) < 4 * content['sigma']['baseline_m']
     error = rig.left.K[0, 0] - RIG.left.K[0, 0]
     assert abs(error) < 4 * content['sigma']['fx_left_px']
-    assert '<svg' in (output / 'report.html').read_text()
+    _check_pictures((output / 'report.html').read_text(), content)
+
+
+def _check_pictures(report: str, content: dict[str, Any]) -> None:
+    """Every board with a readable picture is shown, the marks of those used in green."""
+    assert '<svg' in report
+    images = dict(
+        re.findall(r'<img alt="Board (\w+)" src="data:image/jpeg;base64,([^"]+)"', report)
+    )
+    assert set(images) == set('012345678')
+    image = cv2.imdecode(np.frombuffer(b64decode(images['0']), np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (400, 1280, 3)
+    blue, green, red = image.astype(int).transpose(2, 0, 1)
+    vivid = (green > blue + 60) & (green > red + 60)
+    # a circle 5 px in radius and 2 px thick around each mark of both pictures
+    assert vivid.sum() > 20 * content['boards'][0]['marks']
 
 
 def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

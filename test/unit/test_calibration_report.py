@@ -11,7 +11,7 @@ import pytest
 
 from binocular_recon.calibration._svg import Chart, ticks
 from binocular_recon.calibration.mark_errors import mark_errors_m
-from binocular_recon.calibration.report import render_report
+from binocular_recon.calibration.report import BoardPicture, render_report
 from binocular_recon.calibration.rods import Capture
 from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.stereo_calibration import rotation
@@ -21,7 +21,7 @@ from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import place_board
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, solved, truth
 
-VOID = {'meta', 'rect', 'path', 'polyline', 'polygon', 'br'}
+VOID = {'meta', 'rect', 'path', 'polyline', 'polygon', 'br', 'img'}
 
 
 class Balanced(HTMLParser):
@@ -36,7 +36,7 @@ class Balanced(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.pictures += tag == 'svg'
         self.references += [value or '' for name, value in attrs if name in {'src', 'href'}]
-        if tag != 'meta':
+        if tag not in {'meta', 'img'}:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -53,7 +53,7 @@ def test_report_is_one_complete_page() -> None:
     parser = Balanced()
     parser.feed(page)
     assert not parser.open and not parser.references
-    assert parser.pictures == 10
+    assert parser.pictures == 12
     assert 'nan' not in re.sub(r'<style>.*</style>', '', page, flags=re.DOTALL).lower()
     for name in result.names:
         assert f'<td>{name}</td>' in page
@@ -72,6 +72,17 @@ def test_report_of_points_and_of_lost_boards() -> None:
     parser.feed(page)
     assert not parser.open
     assert 'Board <b>&lt;b&gt;&amp;</b> was left out: 0 of 54 marks' in page
+
+
+def test_report_shows_pictures() -> None:
+    """They are inside the page: nothing is fetched."""
+    pictures = [BoardPicture('01', b'first'), BoardPicture('<2>', b'', 'a picture is missing')]
+    page = render_report(solved(0.005), pictures)
+    parser = Balanced()
+    parser.feed(page)
+    assert not parser.open
+    assert parser.references == ['data:image/jpeg;base64,Zmlyc3Q=', 'data:image/jpeg;base64,']
+    assert 'Board &lt;2&gt; was left out: a picture is missing.' in page
 
 
 def test_chart_places_data() -> None:
