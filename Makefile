@@ -13,8 +13,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .NOTPARALLEL:
-.PHONY: help runtime setup demo test compiled lint format unit kernels jazzy-environment jazzy \
-        colcon evaluate benchmark docs lock clean distclean
+.PHONY: help runtime setup demo test lint format unit units kernels jazzy jazzy-environment \
+        jazzy-system colcon evaluate benchmark docs lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -30,15 +30,8 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run.
-test: lint kernels compiled jazzy colcon ## everything that CI runs
-	$(PYTEST)
-
-# The compiler of an environment uses one core.
-compiled: setup jazzy-environment
-	@echo 'compiling kernels'
-	@tasks=; for environment in .venv $(if $(ROS_DISTRO),,.venv-jazzy); do \
-	    $$environment/bin/python test/compile_kernels.py & tasks="$$tasks $$!"; \
-	done; for task in $$tasks; do wait $$task || exit 1; done
+test: lint kernels units jazzy-system colcon ## everything that CI runs
+	$(PYTEST) --done test/unit
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -60,18 +53,28 @@ kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m kernel -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
-jazzy-environment:
-
-jazzy:
+jazzy jazzy-system:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
+
+units: unit
 else
 jazzy-environment:
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
-
-jazzy: jazzy-environment ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
 	    echo "CPython 3.13: with the oldest versions that have wheels for it, not Ubuntu 24.04's"
+
+jazzy: jazzy-environment ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	.venv-jazzy/bin/python -m pytest test/unit test/system
+
+jazzy-system: jazzy-environment
+	.venv-jazzy/bin/python -m pytest -q test/system || test $$? = 5 # without ROS there is none to run
+
+# Both environments at once: each compiles its kernels and computes on one core most of the time.
+units: setup jazzy-environment
+	@echo 'unit tests with the newest and with the oldest supported versions'
+	@.venv-jazzy/bin/python -m pytest -q test/unit >.venv-jazzy/unit.log 2>&1 & oldest=$$!; \
+	$(PYTEST) -q test/unit; status=$$?; \
+	wait $$oldest || status=$$?; cat .venv-jazzy/unit.log; exit $$status
 endif
 
 colcon: setup ## build, install and test as a ROS workspace does

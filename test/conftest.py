@@ -37,6 +37,13 @@ def _claim_domain() -> tuple[int, socket.socket]:
     raise pytest.UsageError('all ROS domains from 1 to 100 are in use by other test runs')
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run say for the whole suite what was left out, though a part was run before."""
+    parser.addoption(
+        '--done', default='', metavar='FOLDER', help='collect its tests, but do not run them again'
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the ROS graph and the compiled kernels of this run, and of its processes, apart."""
     domain, config.stash[_domain_claim] = _claim_domain()
@@ -83,6 +90,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=without)
         if without:
             config.stash[_left_out].append(f'tests not run: {len(without)}; {reason}')
+    if config.option.done:
+        folder = REPOSITORY / config.option.done
+        items[:] = [item for item in items if not item.path.is_relative_to(folder)]
 
 
 def _needs(item: pytest.Item) -> set[str]:

@@ -22,9 +22,12 @@ class StartNode(Protocol):
 @pytest.fixture(scope='session', autouse=True)
 def _compiled_kernels() -> None:
     """Compile before the nodes start: cold, that takes longer than tests wait for a node."""
-    from test.compile_kernels import compile_kernels
+    from binocular_recon.nodes import calibration_node, match_node, wls_filter_node
+    from binocular_recon.simulation.rods import paper_board
 
-    compile_kernels()
+    match_node.compile_kernels()
+    wls_filter_node.compile_kernels()
+    calibration_node.compile_kernels(paper_board())
 
 
 @pytest.fixture(scope='module')
