@@ -210,6 +210,11 @@ class FilterConfig(Options):
         minimum=1e-5,
         maximum=1.0,
     )
+    wls_video: bool = option(
+        False,
+        "Start each frame from the last one's solution; frames then depend on those before them,"
+        ' within the tolerance',
+    )
 
 
 @dataclass(frozen=True)

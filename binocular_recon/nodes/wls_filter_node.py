@@ -22,7 +22,7 @@ from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import CloudMessageOptions, PresetOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
-from binocular_recon.stereo.filtering import Filtered, filter_disparity
+from binocular_recon.stereo.filtering import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.matching import FloatImage
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -52,6 +52,7 @@ class WlsFilterNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__()
+        self._filter = DisparityFilter(FilterConfig())
         self.prepare(compile_kernels)
         self.start()
 
@@ -69,11 +70,10 @@ class WlsFilterNode(StereoNode):
         picture = read_image(left, 'left image').image
         for image, name in ((measured.disparity_px, 'disparity'), (picture, 'left')):
             check_size(image, rig.left.size, name)
-        filtered = filter_disparity(
+        filtered = self._current_filter()(
             measured.disparity_px,
             _confidence(confidence, measured.disparity_px),
             to_grey(picture),
-            self.options.of(FilterConfig),
             limits_px=measured.limits_px,
         )
         self._publish_disparity(filtered, measured, disparity, rig, left)
@@ -81,6 +81,12 @@ class WlsFilterNode(StereoNode):
             config = self.options.of(CloudConfig)
             cloud = triangulate(filtered.disparity_px, filtered.sigma_px, rig, config)
             self._publish_cloud(cloud, picture, rig, left)
+
+    def _current_filter(self) -> DisparityFilter:
+        config = self.options.of(FilterConfig)
+        if self._filter.config != config:
+            self._filter = DisparityFilter(config)
+        return self._filter
 
     def _publish_disparity(
         self,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -75,6 +77,64 @@ class Equations(NamedTuple):
     link_y: FloatImage
 
 
+class DisparityFilter:
+    """Filter frame after frame: the solver's memory, and with ``wls_video`` its start, are kept.
+
+    A frame of another size makes new memory and forgets the last solution. Frames may come from
+    several threads at once.
+
+    Parameters
+    ----------
+    config : FilterConfig
+        Weights and tolerance.
+
+    """
+
+    def __init__(self, config: FilterConfig) -> None:
+        self.config = config
+        self._spare: deque[System] = deque(maxlen=1)
+        self._last: FloatImage | None = None
+
+    def __call__(
+        self,
+        disparity_px: FloatImage,
+        confidence: FloatImage,
+        guide: FloatImage,
+        *,
+        limits_px: tuple[float, float],
+        initial: FloatImage | None = None,
+    ) -> Filtered:
+        """Filter one frame; see `filter_disparity`."""
+        _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
+        measured = _measured(disparity_px, confidence, limits_px)
+        equations = normal_equations(measured, confidence, guide, self.config)
+        system = self._system(*measured.shape)
+        system.assemble(equations.weight, equations.link_x, equations.link_y)
+        guess = self._guess(measured.shape) if initial is None else initial
+        if guess is not None and not np.isfinite(guess).all():
+            guess = None
+        solution = system.solve(equations.data, self.config.wls_tolerance_px, guess)
+        sigma = _sigma(measured, confidence, solution.values)
+        low, high = limits_px
+        margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
+        filtered = np.clip(solution.values, low + margin, high - margin).astype(np.float32)
+        self._spare.append(system)
+        self._last = filtered if self.config.wls_video else None
+        return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+
+    def _system(self, rows: int, columns: int) -> System:
+        """Return memory that no other thread uses."""
+        with suppress(IndexError):
+            system = self._spare.pop()
+            if system.shape == (rows, columns):
+                return system
+        return System(rows, columns)
+
+    def _guess(self, shape: tuple[int, ...]) -> FloatImage | None:
+        last = self._last
+        return last if last is not None and last.shape == shape else None
+
+
 def filter_disparity(
     disparity_px: FloatImage,
     confidence: FloatImage,
@@ -99,7 +159,9 @@ def filter_disparity(
     limits_px : (float, float)
         Smallest and largest disparity searched.
     initial : (H, W) float32, optional
-        A first guess, such as the last frame's result.
+        A guess, such as the last frame's result: the solver takes its first step towards it, as
+        far as that is an improvement. The result is within the tolerance of the exact solution
+        whatever the guess. Not used unless finite.
 
     Returns
     -------
@@ -124,19 +186,8 @@ def filter_disparity(
     the distance from the nearest match.
 
     """
-    _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
-    measured = _measured(disparity_px, confidence, limits_px)
-    equations = normal_equations(measured, confidence, guide, config)
-    system = System(*equations.weight.shape)
-    system.assemble(equations.weight, equations.link_x, equations.link_y)
-    if initial is not None and not np.isfinite(initial).all():
-        initial = None
-    solution = system.solve(equations.data, config.wls_tolerance_px, initial)
-    sigma = _sigma(measured, confidence, solution.values)
-    low, high = limits_px
-    margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
-    filtered = np.clip(solution.values, low + margin, high - margin).astype(np.float32)
-    return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+    wls = DisparityFilter(config)
+    return wls(disparity_px, confidence, guide, limits_px=limits_px, initial=initial)
 
 
 def normal_equations(

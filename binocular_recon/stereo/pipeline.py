@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import to_grey
-from binocular_recon.stereo.filtering import Filtered, filter_disparity
+from binocular_recon.stereo.filtering import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.rectification import Image, Rectifier, check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -39,7 +39,7 @@ class Reconstruction:
 
 
 class Chain:
-    """Reconstruct picture pairs of one rig.
+    """Reconstruct picture pairs of one rig, in the order of their stamps if ``wls_video`` is on.
 
     Parameters
     ----------
@@ -63,6 +63,7 @@ class Chain:
         self, rig: StereoRig, config: ChainConfig, *, rectify: bool = True, alpha: float = -1.0
     ) -> None:
         self.config = config
+        self._filter = DisparityFilter(config.filter)
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
 
@@ -81,7 +82,7 @@ class Chain:
 
         """
         left, right = self._rectify(left, right)
-        matched, filtered = estimate_disparity(left, right, self.config)
+        matched, filtered = estimate_disparity(left, right, self.config, self._filter)
         cloud = triangulate(  # eq. 16-18
             filtered.disparity_px, filtered.sigma_px, self.rig, self.config.cloud
         )
@@ -95,7 +96,9 @@ class Chain:
         return left, right
 
 
-def estimate_disparity(left: Image, right: Image, config: ChainConfig) -> tuple[Match, Filtered]:
+def estimate_disparity(
+    left: Image, right: Image, config: ChainConfig, wls: DisparityFilter | None = None
+) -> tuple[Match, Filtered]:
     """Match a rectified pair and complete its disparity.
 
     Parameters
@@ -104,6 +107,8 @@ def estimate_disparity(left: Image, right: Image, config: ChainConfig) -> tuple[
         Rectified pictures of equal size; colour as BGR.
     config : ChainConfig
         Options of matching and filter.
+    wls : DisparityFilter, optional
+        The filter, if frame follows frame; its options win.
 
     Returns
     -------
@@ -120,11 +125,8 @@ def estimate_disparity(left: Image, right: Image, config: ChainConfig) -> tuple[
     """
     left_grey, right_grey = to_grey(left), to_grey(right)
     matched = match(left_grey, right_grey, config.match)  # eq. 10
-    filtered = filter_disparity(  # eq. 11-15
-        matched.disparity_px,
-        matched.confidence,
-        left_grey,
-        config.filter,
-        limits_px=config.match.limits_px,
+    wls = wls or DisparityFilter(config.filter)
+    filtered = wls(  # eq. 11-15
+        matched.disparity_px, matched.confidence, left_grey, limits_px=config.match.limits_px
     )
     return matched, filtered

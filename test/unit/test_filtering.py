@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from binocular_recon.stereo.completion import complete
 from binocular_recon.stereo.filtering import (
     LEAST_SIGMA_PX,
     LIMIT_MARGIN_PX,
+    DisparityFilter,
     Filtered,
     filter_disparity,
 )
@@ -32,7 +35,9 @@ NAN = np.float32(np.nan)
 FloatImage = npt.NDArray[np.float32]
 
 
-def scene(seed: int, shape: tuple[int, int] = (20, 28)) -> tuple[FloatImage, ...]:
+def scene(
+    seed: int, shape: tuple[int, int] = (20, 28)
+) -> tuple[FloatImage, FloatImage, FloatImage]:
     """Return disparity with gaps, confidence and guide of a box before a wall."""
     rng = np.random.default_rng(seed)
     disparity = np.full(shape, 12.0)
@@ -42,7 +47,7 @@ def scene(seed: int, shape: tuple[int, int] = (20, 28)) -> tuple[FloatImage, ...
     guide += rng.normal(0, 4, shape)
     disparity[rng.random(shape) < 0.2] = np.nan
     confidence = rng.uniform(0.1, 1, shape)
-    return tuple(a.astype(np.float32) for a in (disparity, confidence, guide))
+    return disparity.astype(np.float32), confidence.astype(np.float32), guide.astype(np.float32)
 
 
 def run(
@@ -237,6 +242,45 @@ def test_last_frames_result_as_first_guess() -> None:
     holes = cold.disparity_px.copy()
     holes[3, 4] = np.nan  # of no use, and no harm
     assert difference(cold, run(disparity, confidence, guide, initial=holes)) == 0
+
+
+def test_frames_do_not_leave_anything_behind() -> None:
+    """Memory is used again: after any other frame, and of any size, the result is the same."""
+    wls = DisparityFilter(FilterConfig())
+    for seed, shape in ((11, (20, 28)), (12, (20, 28)), (13, (33, 7)), (14, (20, 28))):
+        frame = scene(seed, shape)
+        again, fresh = wls(*frame, limits_px=LIMITS_PX), run(*frame, config=FilterConfig())
+        np.testing.assert_array_equal(again.disparity_px, fresh.disparity_px)
+        np.testing.assert_array_equal(again.sigma_px, fresh.sigma_px)
+
+
+def test_video_starts_from_the_last_frame() -> None:
+    """Same result within the tolerance, sooner; another size or scene does no harm."""
+    options: dict[str, Any] = {'wls_lambda': 20.0, 'wls_tolerance_px': 1e-3}
+    config = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, **options)
+    video = DisparityFilter(dataclasses.replace(config, wls_video=True))
+    first, other = scene(15, (60, 70)), scene(16, (60, 70))
+    noise = np.random.default_rng(17).normal(0, 0.002, (60, 70)).astype(np.float32)
+    noisy: FloatImage = first[0] + noise
+    next_frame = (noisy, first[1], first[2])
+    iterations = []
+    for frame in (first, next_frame, other, scene(18, (31, 20)), first):
+        cold, warm = run(*frame, config=config), video(*frame, limits_px=LIMITS_PX)
+        assert difference(cold, warm) <= 2 * config.wls_tolerance_px
+        assert warm.iterations <= cold.iterations + 1
+        iterations.append((cold.iterations, warm.iterations))
+    assert iterations[1][1] < iterations[1][0]
+
+
+def test_frames_from_two_threads() -> None:
+    wls = DisparityFilter(FilterConfig())
+    frames = [scene(seed, (40, 50)) for seed in range(20, 28)]
+    with ThreadPoolExecutor(2) as pool:
+        results = list(pool.map(lambda frame: wls(*frame, limits_px=LIMITS_PX), frames))
+    for frame, result in zip(frames, results, strict=True):
+        np.testing.assert_array_equal(
+            result.disparity_px, run(*frame, config=FilterConfig()).disparity_px
+        )
 
 
 def test_sigma_follows_match_scatter_and_hole() -> None:
