@@ -12,12 +12,13 @@ import numpy.typing as npt
 from binocular_recon.errors import ImageError
 
 Image = npt.NDArray[Any]
+FloatImage = npt.NDArray[np.float32]
 
 # Largest value of each accepted type: white.
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
 
 
-def to_grey(image: Image) -> npt.NDArray[np.float32]:
+def to_grey(image: Image) -> FloatImage:
     """Return grey levels of 255 without rounding.
 
     Parameters
@@ -38,7 +39,7 @@ def to_grey(image: Image) -> npt.NDArray[np.float32]:
     """
     channels = _check(image)
     grey = image.reshape(image.shape[:2]) if channels == 1 else image
-    scaled: npt.NDArray[np.float32] = np.asarray(grey, np.float32) * np.float32(
+    scaled: FloatImage = np.asarray(grey, np.float32) * np.float32(
         255.0 / _WHITE[image.dtype.name]
     )
     if channels > 1:

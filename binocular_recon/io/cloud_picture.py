@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
+
 Picture = npt.NDArray[np.uint8]
 
 # Points are drawn in a larger picture that is then averaged down.

@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
+from binocular_recon.images import FloatImage
 from binocular_recon.io.messages import fill_image, image_samples
 
-FloatImage = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 # How far a value may lie from stereo_image_proc's marker, which is computed in sixteenths.

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.errors import FileError
+from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_file
-
-FloatImage = npt.NDArray[np.float32]
 
 # Longest header line accepted, bytes: a file that is no PFM is not searched for a line end.
 _LINE_LIMIT = 128

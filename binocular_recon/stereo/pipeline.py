@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
-from binocular_recon.images import to_grey
+from binocular_recon.images import Image, to_grey
 from binocular_recon.stereo.filtering import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
-from binocular_recon.stereo.rectification import Image, Rectifier, check_size
+from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 
 

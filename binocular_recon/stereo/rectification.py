@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,8 +11,8 @@ import numpy.typing as npt
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import ConfigError, ImageError
+from binocular_recon.images import Image
 
-Image = npt.NDArray[Any]
 Map = npt.NDArray[np.float32]
 
 # Longest side of a picture that cv2.remap takes.

@@ -6,14 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import kernel, over_strips
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.config import CloudConfig
 from binocular_recon.errors import ImageError
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 
 @dataclass(frozen=True, eq=False)

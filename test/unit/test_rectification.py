@@ -13,7 +13,8 @@ import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
-from binocular_recon.stereo.rectification import Image, Rectifier, rectification_maps
+from binocular_recon.images import Image
+from binocular_recon.stereo.rectification import Rectifier, rectification_maps
 
 SIZE = (320, 200)
 K_LEFT = np.array([[250.0, 0, 158], [0, 252, 103], [0, 0, 1]])
