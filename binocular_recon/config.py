@@ -103,7 +103,7 @@ class MatchConfig(Options):
         5, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
     )
     semi_global: bool = option(
-        True, 'Aggregate the scores along rows and columns; off: each pixel by itself'
+        True, 'Aggregate the scores along rows and down columns; off: each pixel by itself'
     )
     P1: int = option(
         30,
@@ -295,6 +295,6 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_disparity_steps': 0.0,
     },
     # no volume, each pixel by itself: for high frame rates
-    'fast': {'semi_global': False, 'correlation_window_size': 9},
+    'fast': {'semi_global': False, 'correlation_window_size': 7},
     'default': {},
 }

@@ -166,6 +166,27 @@ def test_any_size_works(height: int, width: int, semi_global: bool) -> None:
 
 
 @both_ways
+@pytest.mark.parametrize(
+    ('size', 'first', 'count'),
+    [(3, -11, 9), (5, -9, 100), (7, -45, 90), (31, -8, 13)],
+)
+def test_any_window_and_range_work(size: int, first: int, count: int, semi_global: bool) -> None:
+    left, right = shifted_pair(45, 71, -5.0)
+    options = config(
+        correlation_window_size=size,
+        min_disparity=first,
+        disparity_range=count,
+        semi_global=semi_global,
+        speckle_size=0,
+    )
+    disparity = match(left, right, options).disparity_px
+    inside = disparity[16:-16, 20:-20]
+    assert np.mean(np.abs(inside + 5) < 0.25) > 0.95
+    found = disparity[np.isfinite(disparity)]
+    assert first - 1 <= found.min() <= found.max() <= first + count
+
+
+@both_ways
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('level', [0.0, 255.0, 77.0, np.nan])
 def test_pictures_without_texture_have_no_match(level: float, semi_global: bool) -> None:
