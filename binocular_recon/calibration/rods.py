@@ -235,7 +235,10 @@ def load_rods(path: str | Path) -> RodBoard:
     try:
         values = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
     except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f'cannot read {path}: {error}; give the rods.yaml of the rods') from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise FileError(
+            f'{path} cannot be read: {reason}; give the rods.yaml of the rods'
+        ) from error
     except yaml.YAMLError as error:
         detail = ' '.join(str(error).split())
         raise FileError(f'{path} is not valid YAML: {detail}') from error

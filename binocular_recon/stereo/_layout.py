@@ -42,8 +42,8 @@ def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatIm
         )
         if low < -_OVERSHOOT or high > 255 + _OVERSHOOT:
             raise ImageError(
-                f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255'
-                ' (images.to_grey converts other pictures)'
+                f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255,'
+                ' those of floating-point pictures within 0..1 (images.to_grey scales them)'
             )
     return left, right
 
