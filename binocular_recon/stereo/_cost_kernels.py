@@ -52,11 +52,15 @@ class CostSource(NamedTuple):
 
 
 class CostRows(NamedTuple):
-    """State between rows: both windows' sums, and per left pixel (6, W) what `_weigh` makes."""
+    """State between rows: both windows' sums, and what `_weigh` makes of them.
+
+    ``gains`` (2, W): what a left pixel's covariances count for; ``limit`` (W) and ``highest`` (N):
+    the largest costs of a left and of a right pixel.
+    """
 
     big: Statistics
     small: Statistics
-    left: Array
+    gains: Array
     limit: Array
     highest: Array
 
@@ -69,7 +73,7 @@ def new_cost_rows(source: CostSource) -> CostRows:
     return CostRows(
         new_statistics(big),
         new_statistics(source.small),
-        np.full((4, big.left.shape[1] - big.size + 1), zero),
+        np.full((2, big.left.shape[1] - big.size + 1), zero),
         np.empty(big.left.shape[1] - big.size + 1, np.int32),
         np.full(big.right.shape[1], zero),
     )
@@ -96,7 +100,7 @@ def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs:
     for k in range(0, source.padded, LANES):
         _cost_columns(source, rows, y, k, costs)
     if source.disparities < source.padded:
-        for x in range(rows.left.shape[1]):
+        for x in range(rows.gains.shape[1]):
             at = x * source.padded
             costs[at + source.disparities : at + source.padded] = WORST
     return rows.big.left_norm[1] > 0
@@ -121,12 +125,8 @@ def _weigh(source: CostSource, rows: CostRows) -> None:
         mean[i] += rest[i]
     for i in range(norm.size - inner):
         small_norm[i + inner] = small_norm[i + inner] if norm[i] > zero else zero
-    gain, small_gain, limit = rows.left[2], rows.left[3], rows.limit
+    gain, small_gain, limit = rows.gains[0], rows.gains[1], rows.limit
     width = gain.size
-    rows.left[0], rows.left[1] = (
-        rows.big.left_norm[0, :width],
-        rows.small.left_norm[0, inner : inner + width],
-    )
     inverse = rows.big.left_norm[1]
     small_inverse = rows.small.left_norm[1, inner : inner + width]
     for x in range(width):
@@ -152,7 +152,8 @@ def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Arr
     right = big.right.reshape(big.right.size)
     mean, norm = rows.big.right_norm[0], rows.big.right_norm[2]
     small_mean, small_norm = rows.small.right_norm[0], rows.small.right_norm[2]
-    total, small_total, gain, small_gain = rows.left[0], rows.left[1], rows.left[2], rows.left[3]
+    total, small_total = rows.big.left_norm[0], rows.small.left_norm[0]
+    gain, small_gain = rows.gains[0], rows.gains[1]
     limit, highest = rows.limit, rows.highest
     zero = left[left.shape[0] - 1, 0]
     columns, small_columns = np.full(size * LANES, zero), np.full(size * LANES, zero)
@@ -186,7 +187,7 @@ def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Arr
             continue
         value = (window - splat(total[x]) * load(mean, here)) * load(norm, here)
         cost = load(highest, here) - value * splat(gain[x])
-        value = small_window - splat(small_total[x]) * load(small_mean, here + inner)
+        value = small_window - splat(small_total[x + inner]) * load(small_mean, here + inner)
         cost = cost - value * load(small_norm, here + inner) * splat(small_gain[x])
         steps = smaller(larger(to_int32(cost), splat(np.int32(0))), splat(limit[x]))
         store(costs, x * padded + k, to_uint8(steps))
