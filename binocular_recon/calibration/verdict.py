@@ -23,6 +23,8 @@ CONTRADICTION_SHARE, OUTLIER_SHARE = 0.5, 0.3
 DISPLACEMENT_SHARE, COMMON_SHARE = 0.05, 0.03
 # Heights of marks that are off by this much, in all boards alike, are pointed out.
 MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
+# Rods and marks found on fewer boards than this share of the usual number are pointed out.
+RARE_SHARE = 0.4
 # Depth that is known worse than this share of itself amid the boards is not calibrated.
 DEPTH_LIMIT = 0.1
 
@@ -55,7 +57,7 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
             f'the rods stand less exactly than stated ({spread}); the larger spread was used, but'
             ' check the positions in rods.yaml'
         )
-    warnings += _misplaced_marks(found)
+    warnings += _misplaced_marks(found) + _rarely_found(found)
     for side in ('left', 'right'):
         unusable = 1 - Picture.of(found.state.calibration, side).usable_share
         if unusable > 0:
@@ -134,13 +136,32 @@ def _misplaced_marks(found: Estimate) -> list[str]:
     # the marks' shift per metre along the rod, in standard deviations
     slopes = jacobians.rod[..., 1].reshape(residuals.shape) / problem.sigma_px
     slopes = slopes * problem.seen[..., None]
-    information = (slopes**2).sum(axis=(0, 1, 3, 4))
-    offsets = (slopes * residuals).sum(axis=(0, 1, 3, 4)) / np.maximum(information, 1e-12)
+    information = np.maximum((slopes**2).sum(axis=(0, 1, 3, 4)), 1e-12)
+    offsets = (slopes * residuals).sum(axis=(0, 1, 3, 4)) / information
     return [
         f'mark {mark + 1} sits about {1e3 * offset:+.1f} mm from its height'
         f' {problem.target.heights_m[mark]:g} m on all rods; measure it and correct rods.yaml'
         for mark, offset in enumerate(offsets)
         if abs(offset) > max(MARK_OFFSET_M, MARK_OFFSET_SIGMAS / np.sqrt(information[mark]))
+    ]
+
+
+def _rarely_found(found: Estimate) -> list[str]:
+    """Name rods and marks that were hardly ever found: they may not be where they are said to be.
+
+    Detection leaves out what does not lie as described.
+    """
+    if not found.problem.target.has_rods:
+        return []
+    seen = np.isfinite(found.problem.observed_px).all(axis=-1) | found.outliers.any(axis=-1)
+    # boards on which each rod and each mark was found
+    rods, marks = (np.any(seen, axis=axis).sum(axis=0) for axis in (2, 1))
+    return [
+        f'{what} {index + 1} was found on {count} of {len(found.boards)} boards; check its {place}'
+        ' in rods.yaml'
+        for what, place, counts in (('rod', 'position', rods), ('mark', 'height', marks))
+        for index, count in enumerate(counts)
+        if count < RARE_SHARE * np.median(counts)
     ]
 
 

@@ -274,6 +274,23 @@ def test_a_mark_at_a_slightly_wrong_height_is_pointed_out() -> None:
     assert not any('mark' in warning for warning in solved(0.005).warnings)
 
 
+def test_rods_and_marks_that_are_never_found_are_named() -> None:
+    """Detection leaves out a mark at a wrong height and a rod at a wrong place."""
+
+    def lose(captures: list[Capture]) -> None:
+        for capture in captures:
+            for pixels in (capture.left_px, capture.right_px):
+                pixels[:, 1] = np.nan
+                pixels[3 if capture is not captures[0] else 0] = np.nan
+
+    result = solve(spoilt(lose), board_of(0.005), SIZE)
+    named = [warning for warning in result.warnings if 'was found on' in warning]
+    assert named == [
+        'rod 4 was found on 1 of 11 boards; check its position in rods.yaml',
+        'mark 2 was found on 0 of 11 boards; check its height in rods.yaml',
+    ]
+
+
 def test_rods_stated_exact_that_are_not_are_pointed_out() -> None:
     result = solve(captures_of(0.005), board_of(0.0), SIZE)
     assert any('state a placement_sigma' in warning for warning in result.warnings)
