@@ -14,6 +14,7 @@ Array = npt.NDArray[Any]
 
 REACH = 3  # of the window in which the data's scatter around the solution is taken
 _ZERO = np.float32(0)
+_WHOLE = np.float32(1e-3)
 
 
 class Evidence(NamedTuple):
@@ -26,6 +27,7 @@ class Evidence(NamedTuple):
     spread, distance : standard deviation of a pixel without a match for what its hole's ends
         differ by, and for its distance from the nearest match.
     unit, least : variance of a match whose confidence is 1/2, and of every pixel.
+    rounding : least variance of the scatter.
 
     """
 
@@ -36,6 +38,7 @@ class Evidence(NamedTuple):
     distance: Array
     unit: float
     least: float
+    rounding: float
 
 
 @kernel
@@ -77,6 +80,16 @@ def spread_of_gaps(measured: Array, spread: Array, start: int, stop: int) -> Non
             if x > 0 and end < width:
                 spread[y, x:end] = abs(row[end] - row[x - 1])
             x = end
+
+
+@kernel
+def all_whole(values: Array) -> bool:
+    """Return whether all but NaN are whole numbers, to the rounding of float32."""
+    for y in range(values.shape[0]):
+        for value in values[y]:
+            if abs(value - np.rint(value)) > _WHOLE:
+                return False
+    return True
 
 
 @kernel
@@ -152,6 +165,7 @@ def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) 
     columns = np.zeros((2, width + 2 * REACH), np.float32)
     squares, counts = np.empty(width, np.float32), np.empty(width, np.float32)
     one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
+    rounding = np.float32(evidence.rounding)
     for y in range(start, stop):
         columns[:] = _ZERO
         for near in range(max(0, y - REACH), min(height, y + REACH + 1)):
@@ -163,6 +177,6 @@ def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) 
         out = sigma[y]
         for x in range(width):
             variance = least + unit * (one / min(level[x], one) - one)
-            variance += squares[x] / max(counts[x], one)
+            variance += max(squares[x] / max(counts[x], one), rounding)
             variance += spread[x] * spread[x] + distance[x] * distance[x]
             out[x] = np.sqrt(variance)

@@ -26,6 +26,8 @@ FloatImage = npt.NDArray[np.float32]
 LIMIT_MARGIN_PX = 2.0**-10
 # Standard deviation that no disparity falls below.
 LEAST_SIGMA_PX = 0.05
+# Variance of rounding to whole pixels.
+WHOLE_PIXEL_VARIANCE = 1 / 12
 # A pixel without a match: what it may be off by, as a share of the difference between the two
 # ends of its hole, and for each pixel of distance from the nearest match.
 HOLE_SPREAD_SHARE = 0.25
@@ -182,8 +184,9 @@ def filter_disparity(
     disparity too, since objects often border on a background of the same grey.
 
     The variance of a pixel is that of its match, plus the scatter of the data around the solution
-    nearby; without a match it grows with the difference between the two ends of the hole and with
-    the distance from the nearest match.
+    nearby, at least 1/12 px^2 if all data are whole pixels: where the solution follows rounded
+    data their scatter does not show it. Without a match it grows with the difference between the
+    two ends of the hole and with the distance from the nearest match.
 
     """
     wls = DisparityFilter(config)
@@ -253,6 +256,7 @@ def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -
         distance=distance,
         unit=SIGMA_UNIT_PX**2,
         least=LEAST_SIGMA_PX**2,
+        rounding=WHOLE_PIXEL_VARIANCE if kernels.all_whole(measured) else 0.0,
     )
     over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
     return sigma

@@ -301,6 +301,18 @@ def test_sigma_follows_match_scatter_and_hole() -> None:
     assert (result >= LEAST_SIGMA_PX).all()
 
 
+def test_whole_pixels_are_not_surer_than_their_rounding() -> None:
+    """A plane between 20.0 and 20.45 px, rounded to 20: no scatter shows what is lost."""
+    ones, guide = np.ones((30, 40), np.float32), np.full((30, 40), 100, np.float32)
+    plane = (20 + 0.45 * np.arange(40) / 40 * ones).astype(np.float32)
+    whole = run(np.rint(plane), ones, guide, FilterConfig())
+    normalised = (whole.disparity_px - plane) / whole.sigma_px
+    assert 0.7 < np.sqrt(np.mean(normalised**2)) < 1.4
+    assert run(plane, ones, guide, FilterConfig()).sigma_px.max() < 0.2
+    shifted = np.rint(plane) - np.float32(32.778) + np.float32(32.778)  # through a message
+    assert run(shifted, ones, guide, FilterConfig()).sigma_px.min() > 0.28
+
+
 def test_a_hole_between_far_and_near_is_less_sure() -> None:
     disparity = np.full((30, 60), 10, np.float32)
     ones, guide = np.ones_like(disparity), np.full_like(disparity, 100)
