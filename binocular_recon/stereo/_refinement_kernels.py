@@ -9,7 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
-from binocular_recon._simd import LANES, at_most, larger, load, smaller, splat, store
+from binocular_recon._simd import (
+    LANES,
+    at_most,
+    larger,
+    largest,
+    load,
+    smaller,
+    splat,
+    store,
+    to_int32,
+)
 
 Array = npt.NDArray[Any]
 
@@ -19,7 +29,7 @@ BORDER = REACH * SPACING
 MEDIAN_REACH = 3
 MEDIAN_SPACING = 2
 MEDIAN_BORDER = MEDIAN_REACH * MEDIAN_SPACING
-BISECTIONS = 10
+MEDIAN_ERROR_PX = np.float32(0.1)  # bisection ends
 FEW = np.float32(5)  # samples that a plane needs
 FLAT = np.float32(1e-2)  # least spread of the samples: a plane needs two directions
 
@@ -177,25 +187,36 @@ def weighted_median_strip(
     for y in range(start, stop):
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
-            level = load(levels[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
             low = high = here
+            at = 0
+            for j in range(-MEDIAN_BORDER, MEDIAN_BORDER + 1, MEDIAN_SPACING):
+                row = values[y + MEDIAN_BORDER + j]
+                for i in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+                    value = load(row, x + i)
+                    store(samples, at, value)
+                    low, high = smaller(low, value), larger(high, value)
+                    at += LANES
+            error = np.float32(largest(to_int32(at_most(high - low, most, high - low, zero))) + 1)
+            if error <= keep:
+                store(out[y], x, here)
+                continue
+            level = load(levels[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
             total = zero
             at = 0
-            for j in range(-MEDIAN_REACH, MEDIAN_REACH + 1):
-                row = y + MEDIAN_BORDER + j * MEDIAN_SPACING
-                for i in range(-MEDIAN_REACH, MEDIAN_REACH + 1):
-                    column = x + MEDIAN_BORDER + i * MEDIAN_SPACING
-                    value = load(values[row], column)
-                    step = (load(levels[row], column) - level) * scale
+            for j in range(-MEDIAN_BORDER, MEDIAN_BORDER + 1, MEDIAN_SPACING):
+                row = levels[y + MEDIAN_BORDER + j]
+                for i in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+                    step = (load(row, x + i) - level) * scale
                     weight = one / (one + step * step)
-                    weight = at_most(weight, one, at_most(value, most, weight, zero), zero)
-                    value = at_most(value, most, value, here)
-                    store(samples, at, value)
+                    # NaN is not at most anything
+                    weight = at_most(weight, one, weight, zero)
+                    weight = at_most(load(samples, at), most, weight, zero)
                     store(weights, at, weight)
-                    total, low, high = total + weight, smaller(low, value), larger(high, value)
+                    total = total + weight
                     at += LANES
             enough = total * half
-            for _ in range(BISECTIONS):
+            while error > MEDIAN_ERROR_PX:
+                error *= np.float32(0.5)
                 middle = (low + high) * half
                 below = zero
                 for k in range(0, count * LANES, LANES):
