@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from binocular_recon.calibration.rods import save_rods
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.simulation.capture import CaptureOptions, SimulatedCapture, simulate_capture
-from binocular_recon.simulation.rig import RawRig, survey_rig
+from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from test.system.conftest import StartNode
 from test.system.graph import Graph, wait_until
@@ -30,9 +30,10 @@ RIG = survey_rig(scale=0.5)
 BOARD = with_placement(paper_board(), 0.002)
 
 
-def captured(seed: int, rig: RawRig = RIG) -> SimulatedCapture:
+@cache
+def captured(seed: int) -> SimulatedCapture:
     options = CaptureOptions(depth_m=(3.5, 8.0), noise=1.0)
-    return simulate_capture(BOARD, rig, np.random.default_rng([7, seed]), options)
+    return simulate_capture(BOARD, RIG, np.random.default_rng([7, seed]), options)
 
 
 class Field:
