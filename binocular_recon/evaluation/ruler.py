@@ -22,7 +22,7 @@ from binocular_recon.stereo.pipeline import Reconstruction
 # The camera is held level to this, degrees.
 MOST_TILT_DEG = 20.0
 # A point agrees with a surface within about this, px of disparity.
-SCATTER_PX = 0.25
+SCATTER_PX = 0.15
 GROUND_POINTS = 20_000
 # Points lower than this above the ground may be the ground, m.
 CLEAR_OF_GROUND_M = 0.12
@@ -237,8 +237,8 @@ def _information(reconstruction: Reconstruction) -> FloatArray:
     A disparity is measured where the picture changes along the row; elsewhere it is filled in
     from there.
     """
-    grey = to_grey(reconstruction.left)
-    change = cv2.GaussianBlur(cv2.Sobel(grey, cv2.CV_32F, 1, 0) ** 2, (0, 0), 0.8)
-    sigma = reconstruction.filtered.sigma_px.astype(np.float64)
-    information: FloatArray = (1.0 + change) / (sigma**2 + 0.05**2)
+    change = cv2.Sobel(to_grey(reconstruction.left), cv2.CV_32F, 1, 0)
+    information: FloatArray = np.sqrt(1.0 + cv2.GaussianBlur(change**2, (0, 0), 0.8)).astype(
+        np.float64
+    )
     return information
