@@ -241,9 +241,10 @@ def _plain_add_saturated(a: Any, b: Any) -> Any:
     return np.minimum(a.astype(np.int64) + b, np.iinfo(a.dtype).max).astype(a.dtype)
 
 
-# Element-wise minimum and maximum, and the sum of unsigned integers that stops at the largest.
-smaller = _operation(np.minimum)(_pairwise('smin', 'umin', 'minnum'))
-larger = _operation(np.maximum)(_pairwise('smax', 'umax', 'maxnum'))
+# Element-wise minimum and maximum (of NaN and a number the number), and the sum of unsigned
+# integers that stops at the largest.
+smaller = _operation(np.fmin)(_pairwise('smin', 'umin', 'minnum'))
+larger = _operation(np.fmax)(_pairwise('smax', 'umax', 'maxnum'))
 add_saturated = _operation(_plain_add_saturated)(_pairwise('sadd.sat', 'uadd.sat', ''))
 
 
