@@ -23,13 +23,13 @@ REACH_WIDTHS, REACH_SPACING, LEAST_REACH_PX = 1.2, 0.45, 3.5
 SHORT_REACH_PX = 2.5
 # Largest root mean square residual of a border, as a share of its step.
 LARGEST_RESIDUAL = 0.12
-# A border's step against the typical one of the board.
-LEAST_STEP, LARGEST_STEP = 0.4, 2.0
-# Levels of a band against the typical ones of the board, as a share of the step.
-LEVEL_RANGE = 0.45
+# A border's step against the typical one of the board; levels of a band, as a share of the step.
+LEAST_STEP, LARGEST_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
 # Marks of one rod fit their exact spacing to this, px, and to this share of the rod's length
 # (distortion); the usual error of a mark, px.
 STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
+# What a perfect fit of a border is off by: shading, pixels, blur that is no Gaussian, px.
+MODEL_SIGMA_PX = 0.022
 
 
 class Refined(NamedTuple):
@@ -90,6 +90,7 @@ def refine(
     ends, levels = rod_ends(image, rods, second, levels)
     ends_px, marks[ends] = marks[ends], np.nan
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
+    sigma = np.hypot(sigma, MODEL_SIGMA_PX)
     sigma[ends | _strays(board, marks, plane_px)] = np.nan
     marks[~np.isfinite(sigma)] = np.nan
     return Refined(marks, sigma, ends_px, levels)

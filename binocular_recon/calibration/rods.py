@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from binocular_recon.calibration._rods_values import list_of, number, rod_feet
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
 
@@ -177,16 +178,16 @@ class RodBoard:
                 f'unknown {", ".join(unknown)}; the keys are'
                 f' {", ".join((*REQUIRED_KEYS, *OPTIONAL_KEYS))}'
             )
-        placement = _number('placement_sigma', values['placement_sigma'])
+        placement = number('placement_sigma', values['placement_sigma'])
         return cls(
-            rods_xz_m=_rods(values['rods']),
+            rods_xz_m=rod_feet(values['rods']),
             marks_m=np.array(
-                [_number(f'mark {i}', mark) for i, mark in enumerate(_list(values, 'marks'), 1)]
+                [number(f'mark {i}', mark) for i, mark in enumerate(list_of(values, 'marks'), 1)]
             ),
-            rod_diameter_m=_number('rod_diameter', values['rod_diameter']),
+            rod_diameter_m=number('rod_diameter', values['rod_diameter']),
             placement_sigma_m=placement,
-            height_sigma_m=_number('height_sigma', values.get('height_sigma', 2 * placement)),
-            tilt_sigma_rad=_number('tilt_sigma', values.get('tilt_sigma', placement)),
+            height_sigma_m=number('height_sigma', values.get('height_sigma', 2 * placement)),
+            tilt_sigma_rad=number('tilt_sigma', values.get('tilt_sigma', placement)),
             mark_type=str(values.get('mark_type', MARK_TYPES[0])),
         )
 
@@ -298,32 +299,3 @@ def visible_borders(
     sight = sight - np.sum(sight * direction_xyz, axis=-1, keepdims=True) * direction_xyz
     facing: FloatArray = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
     return marks_xyz + radius_m * facing
-
-
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise CalibrationError(f'{name} must be a number in metres, got {value!r}')
-    return float(value)
-
-
-def _list(values: Mapping[str, Any], key: str) -> list[Any]:
-    if not isinstance(values[key], list):
-        raise CalibrationError(f'{key} must be a list, got {values[key]!r}')
-    return list(values[key])
-
-
-def _rods(rods: object) -> FloatArray:
-    if not isinstance(rods, list) or not rods:
-        raise CalibrationError(
-            f'rods must be a list such as [{{x: 0.0}}, {{x: 0.6}}], got {rods!r}'
-        )
-    feet = []
-    for i, rod in enumerate(rods, 1):
-        if not isinstance(rod, Mapping) or 'x' not in rod or set(rod) - {'x', 'z'}:
-            raise CalibrationError(
-                f'rod {i} must be given as {{x: metres, z: metres}}, got {rod!r}'
-            )
-        feet.append(
-            (_number(f'x of rod {i}', rod['x']), _number(f'z of rod {i}', rod.get('z', 0.0)))
-        )
-    return np.array(feet)
