@@ -26,7 +26,8 @@ def _claim_domain() -> tuple[int, socket.socket]:
 
     The ports are those of ament's domain_coordinator, so its runs are kept apart too.
     """
-    for domain in range(1, 101):
+    # Begin anywhere: in the first domain, processes of an earlier run that was killed may be left.
+    for domain in (1 + (os.getpid() + offset) % 100 for offset in range(100)):
         claim = socket.socket()
         try:
             claim.bind(('127.0.0.1', 22119 + domain))
