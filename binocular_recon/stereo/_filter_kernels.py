@@ -23,22 +23,26 @@ class Evidence(NamedTuple):
     Attributes
     ----------
     measured, filtered : disparity, NaN = none in the first.
-    level : confidence, above 0.
-    spread, distance : standard deviation of a pixel without a match for what its hole's ends
-        differ by, and for its distance from the nearest match.
+    confidence : of matches, above 0.
+    distance : from the nearest match, px.
     unit, least : variance of a match whose confidence is 1/2, and of every pixel.
     rounding : least variance of the scatter.
+    unmatched : variance of a pixel without a match.
+    spread_share, distance_share : its standard deviation for each px that its hole's ends differ
+        by, and for each px of distance.
 
     """
 
     measured: Array
     filtered: Array
-    level: Array
-    spread: Array
+    confidence: Array
     distance: Array
     unit: float
     least: float
     rounding: float
+    unmatched: float
+    spread_share: float
+    distance_share: float
 
 
 @kernel
@@ -158,14 +162,30 @@ def _spread_along_row(padded: Array, out: Array) -> None:
 
 
 @kernel
+def _add_variances(evidence: Evidence, y: int, squares: Array, counts: Array, out: Array) -> None:
+    measured, level, distance = evidence.measured[y], evidence.confidence[y], evidence.distance[y]
+    one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
+    rounding, unmatched = np.float32(evidence.rounding), np.float32(evidence.unmatched)
+    per_spread = np.float32(evidence.spread_share**2)
+    per_distance = np.float32(evidence.distance_share**2)
+    for x in range(len(out)):
+        matched = unit * (one / min(level[x], one) - one)
+        variance = least + (unmatched if np.isnan(measured[x]) else matched)
+        variance += max(squares[x] / max(counts[x], one), rounding)
+        variance += per_spread * out[x] * out[x] + per_distance * distance[x] * distance[x]
+        out[x] = np.sqrt(variance)
+
+
+@kernel
 def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) -> None:
-    """Write the root of a constant, the match's variance, the data's scatter and the hole's."""
+    """Write the root of a constant, the match's variance, the data's scatter and the hole's.
+
+    ``sigma`` comes with what `spread_of_gaps` writes.
+    """
     measured, filtered = evidence.measured, evidence.filtered
     height, width = measured.shape
     columns = np.zeros((2, width + 2 * REACH), np.float32)
     squares, counts = np.empty(width, np.float32), np.empty(width, np.float32)
-    one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
-    rounding = np.float32(evidence.rounding)
     for y in range(start, stop):
         columns[:] = _ZERO
         for near in range(max(0, y - REACH), min(height, y + REACH + 1)):
@@ -173,10 +193,4 @@ def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) 
             _compare(measured[near], filtered[near], columns[0, inside], columns[1, inside])
         _spread_along_row(columns[0], squares)
         _spread_along_row(columns[1], counts)
-        level, spread, distance = evidence.level[y], evidence.spread[y], evidence.distance[y]
-        out = sigma[y]
-        for x in range(width):
-            variance = least + unit * (one / min(level[x], one) - one)
-            variance += max(squares[x] / max(counts[x], one), rounding)
-            variance += spread[x] * spread[x] + distance[x] * distance[x]
-            out[x] = np.sqrt(variance)
+        _add_variances(evidence, y, squares, counts, sigma[y])

@@ -119,7 +119,7 @@ class DisparityFilter:
         sigma = _sigma(measured, confidence, solution.values)
         low, high = limits_px
         margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
-        filtered = np.clip(solution.values, low + margin, high - margin).astype(np.float32)
+        filtered = np.clip(solution.values, np.float32(low + margin), np.float32(high - margin))
         self._spare.append(system)
         self._last = filtered if self.config.wls_video else None
         return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
@@ -224,7 +224,7 @@ def _measured(
             ' check that the pictures overlap, are rectified and have texture, and the disparity'
             ' range'
         )
-    return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32)
+    return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
 
 
 def _data_term(
@@ -241,22 +241,21 @@ def _data_term(
 
 def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
     """Return the standard deviation of every pixel."""
-    spread, sigma = np.empty_like(measured), np.empty_like(measured)
-    over_strips(kernels.spread_of_gaps, len(measured), measured, spread)
+    sigma = np.empty_like(measured)
+    over_strips(kernels.spread_of_gaps, len(measured), measured, sigma)
     hole = np.isnan(measured)
-    _copy_nearest_rows(spread, empty=np.asarray(hole.all(axis=1)))
-    distance = cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3)
-    spread *= np.float32(HOLE_SPREAD_SHARE)
-    distance *= np.float32(HOLE_DISTANCE_SHARE)
+    _copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
     evidence = kernels.Evidence(
         measured,
         filtered,
-        level=np.where(hole, np.float32(COMPLETED_CONFIDENCE), confidence),
-        spread=spread,
-        distance=distance,
+        np.asarray(confidence, np.float32),
+        distance=cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3),
         unit=SIGMA_UNIT_PX**2,
         least=LEAST_SIGMA_PX**2,
         rounding=WHOLE_PIXEL_VARIANCE if kernels.all_whole(measured) else 0.0,
+        unmatched=SIGMA_UNIT_PX**2 * (1 / COMPLETED_CONFIDENCE - 1),
+        spread_share=HOLE_SPREAD_SHARE,
+        distance_share=HOLE_DISTANCE_SHARE,
     )
     over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
     return sigma
