@@ -22,7 +22,7 @@ NOISE = 2.0
 GENTLE_STEP = 16.0
 LEAST_P2 = 1 / 3
 # Rows of a pair of strips, at most.
-STRIP_PAIR = 192
+STRIP_PAIR = 256
 
 
 def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
