@@ -65,8 +65,8 @@ class _Level:
     def __init__(self, rows: int, columns: int, *, black: bool = False) -> None:
         stride = _stride(columns)
         nodes = (rows + 2 * PAD) * stride + 2 * LANES
-        strip = max(8, _NODES_PER_STRIP // stride)
-        strip = rows if rows < 1.5 * strip else strip
+        strips = max(1, round(nodes / _NODES_PER_STRIP))
+        strip = max(8, -(-rows // (strips + strips % 2))) if strips > 1 else rows
         of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
         strips = -(-rows // strip)
         if black:
