@@ -86,9 +86,12 @@ def settle_identity(
         return None
     most = int(np.isfinite(marks_px[..., 0]).sum())
     # marks that an identity has no place for speak against it
-    readings = [
-        _read(image, averaged, board, refined._replace(marks_px=way), most) for way in ways
-    ]
+    readings: list[Reading] = []
+    for way in ways:
+        # feet may still speak for each rod of an identity, but for no more
+        least = max((r.score for r in readings), default=-np.inf) - board.count - CLEAR_MARGIN
+        reading = _read(image, averaged, board, refined._replace(marks_px=way), most, least)
+        readings += [reading] if reading else []
     # where a rod ends, an identity must have its foot
     ends = np.concatenate([refined.ends_px, *(reading.ends_px for reading in readings)])
     scores = np.array([reading.score + _feet_met(reading, ends) for reading in readings])
@@ -156,17 +159,33 @@ def _plausible(board: RodBoard, marks_px: FloatArray) -> bool:
 
 
 def _read(
-    image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined, most: int
-) -> Reading:
+    image: FloatImage,
+    averaged: Averaged,
+    board: RodBoard,
+    refined: Refined,
+    most: int,
+    least: float,
+) -> Reading | None:
     """Look for the marks that must be there if these are what they are said to be.
 
-    ``most`` is their number before those fell off that this identity has no place for.
+    ``most`` is their number before those fell off that this identity has no place for. None if
+    the score cannot reach ``least``.
     """
     marks_px = refined.marks_px
-    dropped = most - int(np.isfinite(marks_px[..., 0]).sum())
     plane = plane_marks(board, marks_px)
     predicted = predict_marks(board, marks_px, plane)
+    size = image.shape[1], image.shape[0]
+    expected = int(expected_in_picture(predicted, size, FRAME_MARGIN_PX).sum())
+    against = 0.5 * (most - int(np.isfinite(marks_px[..., 0]).sum()))
+    against += SLANT_COST * slant(board, marks_px, size)
+
+    def score(marks: FloatArray) -> float:
+        found = int(np.isfinite(marks[..., 0]).sum())
+        return found - 0.5 * max(0, expected - found) - against
+
     more = complete(averaged, board, marks_px, predicted)
+    if score(more) < least:
+        return None
     borders, ends = marks_px.copy(), np.empty((0, 2))
     new = np.isfinite(more[..., 0]) & ~np.isfinite(marks_px[..., 0])
     if new.any():
@@ -174,17 +193,13 @@ def _read(
         added = refine(image, board, only_new, predicted, plane, refined.levels)
         borders = np.where(np.isfinite(added.marks_px), added.marks_px, borders)
         ends = added.ends_px
-    found = int(np.isfinite(borders[..., 0]).sum())
-    size = image.shape[1], image.shape[0]
-    expected = expected_in_picture(predicted, size, FRAME_MARGIN_PX)
-    score = found - 0.5 * max(0, int(expected.sum()) - found) - 0.5 * dropped
-    score -= SLANT_COST * slant(board, marks_px, size)
     heights = board.marks_m
     step = (predicted[:, 1] - predicted[:, 0]) / (heights[1] - heights[0])
+    feet = predicted[:, 0] - heights[0] * step
     reach = AT_FOOT * float(
         np.nanmedian(np.linalg.norm(predicted[:, 1] - predicted[:, 0], axis=1))
     )
-    return Reading(marks_px, score, borders, predicted[:, 0] - heights[0] * step, reach, ends)
+    return Reading(marks_px, score(borders), borders, feet, reach, ends)
 
 
 def _feet_met(reading: Reading, borders_px: FloatArray) -> int:
