@@ -50,7 +50,7 @@ unit: setup ## unit tests only
 	$(PYTEST) -q test/unit
 
 kernels: setup ## kernels against their naive twins, not compiled
-	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m kernel -W ignore::RuntimeWarning test/unit
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m 'kernel and not large' -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
 jazzy jazzy-system:

@@ -254,6 +254,7 @@ def test_frames_do_not_leave_anything_behind() -> None:
         np.testing.assert_array_equal(again.sigma_px, fresh.sigma_px)
 
 
+@pytest.mark.large
 def test_video_starts_from_the_last_frame() -> None:
     """Same result within the tolerance, sooner; another size or scene does no harm."""
     options: dict[str, Any] = {'wls_lambda': 20.0, 'wls_tolerance_px': 1e-3}
@@ -272,6 +273,7 @@ def test_video_starts_from_the_last_frame() -> None:
     assert iterations[1][1] < iterations[1][0]
 
 
+@pytest.mark.large
 def test_frames_from_two_threads() -> None:
     wls = DisparityFilter(FilterConfig())
     frames = [scene(seed, (40, 50)) for seed in range(20, 28)]

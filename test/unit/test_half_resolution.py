@@ -42,6 +42,7 @@ def test_only_holes_that_half_resolution_mostly_sees_are_filled() -> None:
     np.testing.assert_array_equal(np.isnan(sigma), np.isnan(disparity))
 
 
+@pytest.mark.large
 def test_texture_below_the_noise_is_matched() -> None:
     rng = np.random.default_rng(1)
     weak = 100 + 4 * cv2.GaussianBlur(rng.normal(size=(80, 120)), (0, 0), 3) * 10

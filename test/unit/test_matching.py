@@ -132,6 +132,7 @@ def test_confidence_carries_sigma() -> None:
     assert back[6] == np.inf
 
 
+@pytest.mark.large
 @both_ways
 @pytest.mark.parametrize('disparity', [0.0, 5.0, 9.3, -3.75])
 def test_constant_disparity_is_found_to_a_fraction_of_a_pixel(
@@ -219,6 +220,7 @@ def test_errors_say_what_and_why() -> None:
         match(good, good * 257, config())
 
 
+@pytest.mark.large
 @both_ways
 def test_results_do_not_depend_on_threads(
     monkeypatch: pytest.MonkeyPatch, semi_global: bool
@@ -232,6 +234,7 @@ def test_results_do_not_depend_on_threads(
     np.testing.assert_array_equal(many.confidence, one.confidence)
 
 
+@pytest.mark.large
 @both_ways
 def test_exposure_does_not_matter(semi_global: bool) -> None:
     left, right = shifted_pair(60, 100, 6.5)
@@ -255,6 +258,7 @@ def test_speckles_are_removed() -> None:
     np.testing.assert_array_equal(disparity, expected)
 
 
+@pytest.mark.large
 def test_sigma_is_honest_and_no_constant() -> None:
     left, right = shifted_pair(120, 200, 7.3)
     rng = np.random.default_rng(5)
