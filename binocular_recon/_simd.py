@@ -349,7 +349,6 @@ def _conversion(dtype: Any) -> Any:
 
 
 to_uint8 = _operation(lambda vector: vector.astype(np.uint8))(_conversion(types.uint8))
-to_uint16 = _operation(lambda vector: vector.astype(np.uint16))(_conversion(types.uint16))
 to_int32 = _operation(lambda vector: vector.astype(np.int32))(_conversion(types.int32))
 
 
