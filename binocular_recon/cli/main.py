@@ -20,7 +20,7 @@ COMMANDS = {
     'play': 'publish a bag on ROS 2 topics',
     'calibrate': 'pictures of rods, or points of a flat target, to a calibrated stereo rig',
     'simulate': 'pictures of rods, or a survey scene as a bag, with ground truth',
-    'paper': "the paper end to end on simulated sites: its Tables 1, 2 and 3 beside ours",
+    'paper': 'the paper end to end on simulated sites: its Tables 1, 2 and 3 beside ours',
     'evaluate': "accuracy on scenes with ground truth, against OpenCV's matchers",
     'benchmark': 'speed and memory of every stage, against its peers',
 }
