@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import threading
 import time
 import traceback
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
@@ -22,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from binocular_recon.calibration.detection import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.rods import Capture, RodBoard, load_rods
+from binocular_recon.calibration.rods import Capture, load_rods
 from binocular_recon.calibration.screening import complaint, displacement_px
 from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.target import Target
@@ -41,11 +39,17 @@ from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.capture_store import CaptureStore
 from binocular_recon.io.detection_image import draw_detections
 from binocular_recon.io.messages import fill_camera_info, fill_image, read_image, stamp_ns
+from binocular_recon.nodes.calibration_steps import (
+    Alone,
+    compile_kernels,
+    missing_words,
+    row_words,
+    summary,
+)
 from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.options import CalibrationOptions, InputOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
-from binocular_recon.stereo.rectification import rectified_points
 
 # How long a capture waits for a second pair, to see whether everything stands still.
 _STILL_WITHIN_S = 1.0
@@ -163,12 +167,12 @@ class CalibrationNode(StereoNode):
         return response
 
     def _capture(self) -> str:
-        with _Alone(self._storing):
+        with Alone(self._storing):
             pair = self._fresh_pair()
             found = self._detect(pair)
             name = f'{len(self._store.names) + 1:03d}'
             capture = Capture(name, found[0].marks_px, found[1].marks_px)
-            missing = self._missing(found)
+            missing = missing_words(found)
             others = self._store.captures().captures if self._store.names else ()
             reason = complaint(capture, self._target, pair.size, others)
             if reason:
@@ -183,11 +187,11 @@ class CalibrationNode(StereoNode):
             both = found[0].found & found[1].found
             return (
                 f'board {name} captured ({count} so far): {both.sum()} of {both.size} marks in'
-                f' both images{missing}{self._rows(capture)}'
+                f' both images{missing}{row_words(self._in_use, capture)}'
             )
 
     def _undo(self) -> str:
-        with _Alone(self._storing):
+        with Alone(self._storing):
             names = self._store.names
             if not names:
                 raise CalibrationError('there is no board to drop')
@@ -197,7 +201,7 @@ class CalibrationNode(StereoNode):
             return f'board {names[-1]} dropped, {len(names) - 1} left'
 
     def _reset(self) -> str:
-        with _Alone(self._storing):
+        with Alone(self._storing):
             names = self._store.names
             if names:
                 self._store.drop(names)
@@ -206,9 +210,9 @@ class CalibrationNode(StereoNode):
             return f'{len(names)} boards dropped; their pictures are in {self._store.folder}'
 
     def _calibrate(self) -> str:
-        with _Alone(self._solving):
+        with Alone(self._solving):
             begun_s = time.monotonic()
-            with _Alone(self._storing):
+            with Alone(self._storing):
                 found = self._store.captures()
             result = solve(found.captures, self._board, found.image_size, rejected=found.rejected)
             self._result = result
@@ -216,7 +220,7 @@ class CalibrationNode(StereoNode):
             return f'{summary(result)}; {time.monotonic() - begun_s:.0f} s; save it'
 
     def _save(self) -> str:
-        with _Alone(self._solving):
+        with Alone(self._solving):
             if self._result is None:
                 raise CalibrationError('there is nothing to save; calibrate first')
             options = self.options.of(RodOptions)
@@ -275,28 +279,6 @@ class CalibrationNode(StereoNode):
         )
         return left, right
 
-    def _missing(self, found: tuple[Detection, Detection]) -> str:
-        words = [
-            f'{side} image: {message}'
-            for side, detection in zip(('left', 'right'), found, strict=True)
-            for message in detection.messages
-        ]
-        return f'; {"; ".join(words)}' if words else ''
-
-    def _rows(self, capture: Capture) -> str:
-        """Say how well the calibration in use rectifies the marks."""
-        if self._in_use is None:
-            return ''
-        rig = self._in_use
-        rows = [
-            rectified_points(camera, pixels.reshape(-1, 2))[:, 1]
-            for camera, pixels in ((rig.left, capture.left_px), (rig.right, capture.right_px))
-        ]
-        return (
-            '; rows of the calibration in use differ by'
-            f' {np.nanmean(np.abs(rows[0] - rows[1])):.2f} px'
-        )
-
     def _show(self, job: tuple[_Pair, Header]) -> None:
         """Publish a pair with what is found in it, in the preview's thread."""
         pair, header = job
@@ -325,50 +307,6 @@ class CalibrationNode(StereoNode):
             return f'{service} did not answer within {_SET_CAMERA_INFO_WITHIN_S:g} s'
         answer: Any = future.result()
         return f'{service} {"took it" if answer.success else "refused"} {answer.status_message}'
-
-
-class _Alone:
-    """Hold a lock, or refuse where another service does."""
-
-    def __init__(self, lock: threading.Lock) -> None:
-        self._lock = lock
-
-    def __enter__(self) -> None:
-        if not self._lock.acquire(blocking=False):
-            raise BusyError('busy with another call; try again when it has answered')
-
-    def __exit__(self, *_error: object) -> None:
-        self._lock.release()
-
-
-class BusyError(BinocularReconError):
-    """A service is at work on the same thing."""
-
-
-def compile_kernels(board: RodBoard) -> None:
-    """Find the rods in a drawing of them."""
-    scale = 500 / np.max(board.marks_m)
-    columns = 60 + 40 * np.arange(board.count)
-    image = np.full((600, columns[-1] + 60), 128, np.uint8)
-    edges = 550 - np.r_[0, board.marks_m * scale, 530].astype(int)
-    for column in columns:
-        for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
-            image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
-    detect_rods(image, board)
-
-
-def summary(result: CalibrationResult) -> str:
-    """Return what a crew wants to know of a calibration, in one sentence."""
-    calibration, sigma = result.calibration, result.sigma
-    depth_mm = 1e3 * result.depth_sigma_m(15.0)
-    left_out = '; '.join(f'{board.name} left out: {board.reason}' for board in result.rejected)
-    advice = f'; next: {result.advice[0]}' if result.advice else ''
-    return (
-        f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
-        f' baseline {1e3 * calibration.baseline_m:.1f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
-        f' depth sigma {depth_mm:.0f} mm at 15 m'
-        f'{"; " + left_out if left_out else ""}{advice}'
-    )
 
 
 def main() -> int:

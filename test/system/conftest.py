@@ -22,12 +22,12 @@ class StartNode(Protocol):
 @pytest.fixture(scope='session', autouse=True)
 def _compiled_kernels() -> None:
     """Compile before the nodes start: cold, that takes longer than tests wait for a node."""
-    from binocular_recon.nodes import calibration_node, match_node, wls_filter_node
+    from binocular_recon.nodes import calibration_steps, match_node, wls_filter_node
     from binocular_recon.simulation.rods import paper_board
 
     match_node.compile_kernels()
     wls_filter_node.compile_kernels()
-    calibration_node.compile_kernels(paper_board())
+    calibration_steps.compile_kernels(paper_board())
 
 
 @pytest.fixture(scope='module')
