@@ -30,7 +30,7 @@ from binocular_recon.camera import FloatArray
 FloatImage = npt.NDArray[np.float32]
 
 # By how many marks (missing ones count half) an identity must beat every other one.
-CLEAR_MARGIN = 1.5
+CLEAR_MARGIN = 2.0
 # The same where feet that another identity takes for marks count as explained.
 FEET_MARGIN = 1.0
 # Marks nearer to the frame than this may be missed, px.
