@@ -99,8 +99,9 @@ class StereoNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         offered = {one.topic: offer(self, one, self.health, self._update) for one in self.OUTPUTS}
         self._outputs = {topic: publisher for topic, (publisher, _) in offered.items()}
-        # declares the QoS parameters of the inputs; `_report` ends it if nobody listens
+        # declares the QoS parameters of the inputs
         self._listening = self._subscribe()
+        self._update()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._report, clock=steady)
         if not all(reports for _, reports in offered.values()):
