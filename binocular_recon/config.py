@@ -121,6 +121,11 @@ class MatchConfig(Options):
     half_resolution: bool = option(
         True, 'Pixels without a match take that at half resolution, where it sees most of a hole'
     )
+    consensus: bool = option(
+        False,
+        'Match with the next smaller and larger window too, each from both cameras; keep what'
+        ' half of these agree on',
+    )
     texture_threshold: float = option(
         0.5,
         'Least standard deviation of a window, in grey levels of 255',
@@ -195,6 +200,11 @@ class FilterConfig(Options):
         True,
         'Pixels without a match take the disparity of what lies behind them, with a small'
         ' confidence; off: smoothness alone fills them',
+    )
+    wls_extrapolate: bool = option(
+        False,
+        'Columns out of sight of the right camera continue the slope of the surface next to them;'
+        ' off: its disparity',
     )
     wls_disparity_steps: float = option(
         0.1,
@@ -297,4 +307,6 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
     # no volume, each pixel by itself: for high frame rates
     'fast': {'semi_global': False, 'correlation_window_size': 7},
     'default': {},
+    # several matches of each pair: where time matters less
+    'accurate': {'consensus': True, 'wls_extrapolate': True},
 }

@@ -6,6 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from binocular_recon._jit import over_strips
 from binocular_recon.stereo._refinement_kernels import (
@@ -20,9 +21,17 @@ FloatImage = npt.NDArray[np.float32]
 COMPLETED_CONFIDENCE = 0.06
 # How much wider than its cause a run of hidden pixels is: windows see a border from afar.
 HIDDEN_SLACK_PX = 8
+# A row's slope is that of so many pixels next to its hole, without those off by more than a
+# tolerance and a steepest slope; then the median of so many rows.
+SLOPE_PX = 30
+SLOPE_TOLERANCE_PX = 1.5
+STEEPEST_SLOPE = 0.08
+SLOPE_ROWS = 61
 
 
-def complete(disparity_px: FloatImage, confidence: FloatImage) -> tuple[FloatImage, FloatImage]:
+def complete(
+    disparity_px: FloatImage, confidence: FloatImage, *, extrapolate: bool = False
+) -> tuple[FloatImage, FloatImage]:
     """Complete a disparity map before it is filtered.
 
     Parameters
@@ -31,6 +40,8 @@ def complete(disparity_px: FloatImage, confidence: FloatImage) -> tuple[FloatIma
         Disparity; NaN = none.
     confidence : (H, W) float32
         Confidence of each pixel; 0 = none.
+    extrapolate : bool
+        Columns out of sight of the right camera continue the slope of the surface next to them.
 
     Returns
     -------
@@ -57,6 +68,8 @@ def complete(disparity_px: FloatImage, confidence: FloatImage) -> tuple[FloatIma
     )
     if np.isnan(filled[0, 0]):
         return filled, np.zeros_like(confidence)
+    if extrapolate:
+        _extrapolate(measured, filled)
     smooth = np.where(holes, cv2.medianBlur(filled, 5), filled)
     return smooth, np.where(holes, np.float32(COMPLETED_CONFIDENCE), confidence)
 
@@ -85,3 +98,41 @@ def fill_from_background(disparity_px: FloatImage) -> FloatImage:
         nearest = np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)
         filled[empty] = filled[rows[nearest]]
     return filled
+
+
+def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
+    """Continue slopes, in place, into the columns left of what the right camera sees.
+
+    The median slope of nearby rows, less as those differ: it vanishes where their spread (1.48
+    times the median deviation, a standard deviation if normal) reaches it.
+    """
+    known = ~np.isnan(measured_px)
+    first = known.argmax(axis=1)
+    start = np.take_along_axis(measured_px, first[:, None], 1)[:, 0]
+    rows = np.flatnonzero((first > 0) & (first <= start + HIDDEN_SLACK_PX))
+    if not rows.size:
+        return
+    slopes = _row_slopes(measured_px[rows], first[rows])
+    slope = median_filter(slopes, SLOPE_ROWS)
+    spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
+    slope *= 1 - np.minimum(spread / np.maximum(np.abs(slope), 1e-6), 1) ** 2
+    low, high = np.nanmin(measured_px), np.nanmax(measured_px)
+    for row, end, value, step in zip(rows, first[rows], start[rows], slope, strict=True):
+        filled_px[row, :end] = np.clip(value + step * np.arange(-end, 0), low, high)
+
+
+def _row_slopes(measured_px: FloatImage, first: npt.NDArray[np.intp]) -> FloatImage:
+    """Return each row's slope in the pixels from ``first`` on; 0 where they are too few."""
+    x = np.arange(SLOPE_PX, dtype=np.float32)
+    columns = first[:, None] + np.arange(SLOPE_PX)
+    inside = columns < measured_px.shape[1]
+    values = np.take_along_axis(measured_px, np.where(inside, columns, first[:, None]), 1)
+    step = values - values[:, :1]
+    used = inside & (np.abs(step) <= SLOPE_TOLERANCE_PX + STEEPEST_SLOPE * x)
+    count = np.count_nonzero(used, axis=1)
+    step = np.where(used, step, 0)
+    mean_x, mean_step = np.where(used, x, 0).sum(1) / count, step.sum(1) / count
+    spread = np.where(used, x * x, 0).sum(1) / count - mean_x**2
+    shared = (step * x).sum(1) / count - mean_x * mean_step
+    slopes = np.where(count >= SLOPE_PX // 2, shared / np.maximum(spread, 1), 0)
+    return slopes.astype(np.float32)

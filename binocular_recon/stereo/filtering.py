@@ -235,7 +235,7 @@ def _data_term(
         return _nearest_in_row(measured), np.ones_like(measured)
     valid = np.isfinite(measured)
     weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
-    data, completed = complete(measured, weight)
+    data, completed = complete(measured, weight, extrapolate=config.wls_extrapolate)
     return data, completed if config.wls_complete else weight
 
 

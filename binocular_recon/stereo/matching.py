@@ -15,6 +15,7 @@ from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._layout import check_pair, lay_out
 from binocular_recon.stereo._ncc_kernels import Selection, score_strip, select_strip
 from binocular_recon.stereo._refinement_kernels import drop_negative, to_steps
+from binocular_recon.stereo.consensus import agree, carry_over, members
 from binocular_recon.stereo.half_resolution import fill_from_half, half_config, halve
 from binocular_recon.stereo.refinement import smooth
 
@@ -93,10 +94,8 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
 
     """
     left, right = check_pair(left, right)
-    disparity, sigma = _measure(left, right, config)
-    if config.half_resolution:
-        half = _measure(halve(left), halve(right), half_config(config))
-        fill_from_half(disparity, sigma, *half, config.speckle_size)
+    measure = _measure_by_consensus if config.consensus else _measure
+    disparity, sigma = measure(left, right, config)
     if not config.subpixel:
         return Match(disparity, np.isfinite(disparity).astype(np.float32))
     confidence = np.empty_like(disparity)
@@ -112,7 +111,32 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     return Match(disparity, confidence)
 
 
+def _measure_by_consensus(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return what matches with several windows, seen from either camera, agree on."""
+    mirrored = right[:, ::-1].copy(), left[:, ::-1].copy()
+    found = []
+    for member in members(config):
+        found.append(_measure(left, right, member))
+        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, member))
+        found.append(carry_over(disparity, sigma))
+    disparity, sigma = agree(*zip(*found, strict=True))
+    return (disparity if config.subpixel else np.rint(disparity)), sigma
+
+
 def _measure(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return the disparity and its standard deviation."""
+    disparity, sigma = _measure_once(left, right, config)
+    if config.half_resolution:
+        half = _measure_once(halve(left), halve(right), half_config(config))
+        fill_from_half(disparity, sigma, *half, config.speckle_size)
+    return disparity, sigma
+
+
+def _measure_once(
     left: FloatImage, right: FloatImage, config: MatchConfig
 ) -> tuple[FloatImage, FloatImage]:
     """Return the disparity and its standard deviation at one resolution."""

@@ -190,6 +190,19 @@ def test_demo_reaches_its_figures(demo: Path) -> None:
     assert summary['accuracy']['bad-2.0 %'] == pytest.approx(bad_percent, abs=0.006)
 
 
+@pytest.mark.large
+def test_accurate_beats_default_on_the_demo(demo: Path, tmp_path: Path) -> None:
+    assert main(['demo', '--output', str(tmp_path), '--preset', 'accurate']) == 0
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    known = np.isfinite(truth_px)
+    bad_percent = [
+        100 * np.mean(np.abs(read_pfm(out / '000000_disparity.pfm') - truth_px)[known] > 2)
+        for out in (tmp_path, demo)
+    ]
+    assert bad_percent[0] < bad_percent[1] - 0.1
+    assert bad_percent[0] <= 8.6
+
+
 def test_demo_cloud_is_metric(demo: Path) -> None:
     # Z = f B / (d + doffs), as Middlebury's calibration file defines it
     truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')

@@ -134,3 +134,42 @@ def test_borders_move_to_where_the_picture_has_them() -> None:
     smoothed, _ = smooth(disparity.astype(np.float32), guide)
     np.testing.assert_allclose(smoothed[:, 28:30], 4, atol=0.05)
     np.testing.assert_allclose(smoothed[:, 30:], 18, atol=0.05)
+
+
+def test_columns_out_of_sight_continue_the_slope() -> None:
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:80, :100].astype(np.float32)
+    truth = (20 + 0.06 * x + 0.05 * y).astype(np.float32)
+    disparity = truth + rng.normal(0, 0.05, truth.shape).astype(np.float32)
+    disparity[x < truth] = NAN
+    disparity[:, 70:78] = NAN  # not at the border: as without
+    confidence = np.ones_like(disparity)
+    constant, _ = complete(disparity, confidence)
+    continued, weight = complete(disparity, confidence, extrapolate=True)
+    np.testing.assert_array_equal(continued[:, 40:], constant[:, 40:])
+    np.testing.assert_allclose(weight[x < truth], COMPLETED_CONFIDENCE)
+    error, before = (np.abs(filled - truth)[x < truth] for filled in (continued, constant))
+    assert error.mean() < 0.15 < 0.6 < before.mean()
+
+
+def test_slopes_that_differ_are_not_continued() -> None:
+    x = np.arange(100, dtype=np.float32)
+    slopes = np.random.default_rng(3).normal(0, 0.05, (80, 1))
+    disparity = (20 + slopes * (x - 20)).astype(np.float32)
+    disparity[:, :20] = NAN
+    confidence = np.ones_like(disparity)
+    constant, _ = complete(disparity, confidence)
+    continued, _ = complete(disparity, confidence, extrapolate=True)
+    assert np.abs(continued - constant).max() < 0.1
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(('height', 'width'), [(1, 1), (1, 50), (50, 1), (70, 20)])
+def test_any_size_can_be_continued(height: int, width: int) -> None:
+    disparity = np.full((height, width), 3, np.float32)
+    confidence = np.ones_like(disparity)
+    disparity[:, : width // 2] = NAN
+    continued, _ = complete(disparity, confidence, extrapolate=True)
+    np.testing.assert_array_equal(continued, 3)
+    disparity[:] = NAN
+    assert np.isnan(complete(disparity, confidence, extrapolate=True)[0]).all()

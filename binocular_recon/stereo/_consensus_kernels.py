@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernel that carries disparities from the right picture to the left one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon._jit import kernel
+
+Array = npt.NDArray[Any]
+
+
+@kernel
+def carry_over_strip(
+    disparity: Array, sigma: Array, left_disparity: Array, left_sigma: Array, start: int, stop: int
+) -> None:
+    """Write what the right picture's pixels say to those of the left; the nearest is seen."""
+    width = disparity.shape[1]
+    for y in range(start, stop):
+        left_disparity[y] = np.nan
+        left_sigma[y] = np.nan
+        for x in range(width):
+            value = disparity[y, x]
+            if np.isnan(value):
+                continue
+            column = x + int(np.rint(value))
+            if 0 <= column < width and not left_disparity[y, column] >= value:
+                left_disparity[y, column] = value
+                left_sigma[y, column] = sigma[y, x]
