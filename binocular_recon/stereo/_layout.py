@@ -56,8 +56,10 @@ def exposure_gain(left: FloatImage) -> float:
 
 
 def even_levels(left: FloatImage) -> FloatImage:
-    """Return grey levels of the same contrast whatever the exposure; 0 where there is no data."""
-    levels = left * np.float32(exposure_gain(left))
+    """Return grey levels of mean 0 and the same contrast whatever the exposure; 0 = no data."""
+    known = left[np.isfinite(left)]
+    mean = known.mean(dtype=np.float64) if known.size else 0.0
+    levels = (left - np.float32(mean)) * np.float32(exposure_gain(left))
     levels[np.isnan(levels)] = 0
     return levels
 

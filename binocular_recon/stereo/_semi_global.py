@@ -15,6 +15,7 @@ from binocular_recon.stereo._layout import even_levels, exposure_gain, lay_out, 
 FloatImage = npt.NDArray[np.float32]
 
 # Grey levels below are `even_levels`: they do not change with the exposure.
+MIDDLE_GREY = 128
 # Standard deviation of the pictures' noise: texture below it tells little.
 NOISE = 2.0
 # P2 falls with the step of grey level that a change of disparity goes with: P2 up to
@@ -49,7 +50,7 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
     )
-    levels = even_levels(left).clip(0, 255).astype(np.uint8)
+    levels = (even_levels(left) + MIDDLE_GREY).clip(0, 255).astype(np.uint8)
     penalties = _penalties(config)
     over_strips(
         lambda start, stop: match_strip(source, levels, penalties, decision, start, stop),

@@ -80,7 +80,7 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
         subpixel=False,
     )
     costs, scored = volume(left, right, config)
-    levels = even_levels(left).clip(0, 255).astype(np.int64)
+    levels = (even_levels(left) + _semi_global.MIDDLE_GREY).clip(0, 255).astype(np.int64)
     penalties = _semi_global._penalties(config)
     total = naive_sgm.aggregate(costs >> 3, levels, penalties.P1, penalties.P2.astype(np.int64))
     expected = naive_sgm.choose(total, first, tolerance)
@@ -88,3 +88,12 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
     disparity = _semi_global.select_disparities(left, right, config)
     np.testing.assert_array_equal(disparity, expected)
     assert 0.3 < np.isfinite(expected).mean() < 1
+
+
+def test_levels_do_not_change_with_the_exposure() -> None:
+    left = np.random.default_rng(6).uniform(0, 255, (20, 30)).astype(np.float32)
+    left[3, 4:9] = np.nan
+    levels = even_levels(left)
+    assert abs(levels[~np.isnan(left)].mean()) < 1e-3
+    np.testing.assert_array_equal(levels[3, 4:9], 0)
+    np.testing.assert_allclose(even_levels(left * np.float32(0.6) + 20), levels, atol=1e-3)
