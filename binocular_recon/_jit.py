@@ -56,7 +56,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix='kernel')
 
 
-def over_strips(function: Callable[..., None], length: int, *args: Any, strip: int = 32) -> None:
+def over_strips(function: Callable[..., None], length: int, *args: Any, strip: int = 64) -> None:
     """Call ``function(*args, start, stop)`` for strips of ``range(length)`` on all cores.
 
     The strips do not depend on the number of threads, so neither do results that are

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import cv2
@@ -50,18 +51,22 @@ def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatIm
 
 def exposure_gain(left: FloatImage) -> float:
     """Return the factor that brings a picture to `CONTRAST`."""
-    known = left[np.isfinite(left)]
-    deviation = float(known.std()) if known.size else 0.0
-    return CONTRAST / deviation if deviation > 0 else 1.0
+    return _mean_and_gain(left)[1]
 
 
 def even_levels(left: FloatImage) -> FloatImage:
     """Return grey levels of mean 0 and the same contrast whatever the exposure; 0 = no data."""
-    known = left[np.isfinite(left)]
-    mean = known.mean(dtype=np.float64) if known.size else 0.0
-    levels = (left - np.float32(mean)) * np.float32(exposure_gain(left))
-    levels[np.isnan(levels)] = 0
+    mean, gain = _mean_and_gain(left)
+    levels: FloatImage = cv2.patchNaNs((left - np.float32(mean)) * np.float32(gain), 0)
     return levels
+
+
+def _mean_and_gain(left: FloatImage) -> tuple[float, float]:
+    mean, deviation = (float(value.item()) for value in cv2.meanStdDev(left))
+    if not math.isfinite(mean):  # somewhere is no data
+        known = np.isfinite(left).astype(np.uint8)
+        mean, deviation = (float(value.item()) for value in cv2.meanStdDev(left, mask=known))
+    return mean, CONTRAST / deviation if deviation > 0 else 1.0
 
 
 def padded_range(config: MatchConfig) -> int:

@@ -184,6 +184,7 @@ def weighted_median_strip(
         splat(np.float32(keep)),
         splat(np.float32(1e9)),
     )
+    surely = splat(np.float32(keep) - MEDIAN_ERROR_PX)
     for y in range(start, stop):
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
@@ -215,6 +216,16 @@ def weighted_median_strip(
                     total = total + weight
                     at += LANES
             enough = total * half
+            # most values are near enough to their median, which shows without finding it
+            below = under = zero
+            for k in range(0, count * LANES, LANES):
+                sample, weight = load(samples, k), load(weights, k)
+                below = below + at_most(sample, here + surely, weight, zero)
+                under = under + at_most(sample, here - surely, weight, zero)
+            moves = at_most(below, enough, one, at_most(under, enough, zero, one))
+            if largest(to_int32(moves)) == 0:
+                store(out[y], x, here)
+                continue
             while error > MEDIAN_ERROR_PX:
                 error *= np.float32(0.5)
                 middle = (low + high) * half
@@ -249,24 +260,19 @@ def plane_strip(
             for j in range(-REACH, REACH + 1):
                 row = disparity[y + BORDER + j * SPACING]
                 v = splat(np.float32(j))
+                row_n = row_x = row_v = zero
                 for i in range(-REACH, REACH + 1):
                     u = splat(np.float32(i))
                     step = load(row, x + BORDER + i * SPACING) - here
                     distance = larger(step, zero - step)
                     weight = at_most(distance, limit, one, zero)
                     step = at_most(distance, limit, step, zero)
-                    n, sx, sy = n + weight, sx + u * weight, sy + v * weight
-                    sxx, sxy, syy = (
-                        sxx + u * u * weight,
-                        sxy + u * v * weight,
-                        syy + v * v * weight,
-                    )
-                    sv, sxv, syv, svv = (
-                        sv + step,
-                        sxv + u * step,
-                        syv + v * step,
-                        svv + step * step,
-                    )
+                    across = u * weight
+                    row_n, row_x, row_v = row_n + weight, row_x + across, row_v + step
+                    sxx, sxv, svv = sxx + u * across, sxv + u * step, svv + step * step
+                n, sx, sv = n + row_n, sx + row_x, sv + row_v
+                sy, sxy, syv = sy + v * row_n, sxy + v * row_x, syv + v * row_v
+                syy = syy + v * v * row_n
             count = larger(n, one)
             mx, my, mv = sx / count, sy / count, sv / count
             cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
