@@ -11,6 +11,7 @@ from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.scenes import Image, Scene
 from binocular_recon.images import to_grey
+from binocular_recon.stereo.filtering import DisparityFilter
 from binocular_recon.stereo.matching import match, sigma_from_confidence
 from binocular_recon.stereo.pipeline import estimate_disparity
 
@@ -70,9 +71,10 @@ def preset_method(preset: str, **overrides: OptionValue) -> Method:
 
     def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
         config = _config(preset, overrides, disparity_range)
+        wls = DisparityFilter(config.filter)
 
         def run() -> Estimate:
-            _, filtered = estimate_disparity(left, right, config)
+            _, filtered = estimate_disparity(left, right, config, wls)
             return Estimate(filtered.disparity_px, filtered.sigma_px)
 
         return run
@@ -102,13 +104,13 @@ def opencv_method(matcher: peers.OpenCvMatcher) -> Method:
     def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
         columns = -(-disparity_range // 16) * 16
         padded_left, padded_right = (peers.padded(image, columns) for image in (left, right))
+        compute = matcher.prepare(columns)
 
         def run() -> Estimate:
-            disparity = matcher.compute(
+            disparity = compute(
                 peers.to_bytes(padded_left),
                 peers.to_bytes(padded_right),
                 peers.to_guide(padded_left),
-                columns,
             )
             return Estimate(peers.from_fixed_point(disparity, columns))
 

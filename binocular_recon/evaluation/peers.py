@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,33 +83,35 @@ class OpenCvMatcher:
             mode=modes[self.algorithm],
         )
 
-    def compute(self, left: Image, right: Image, guide: Image, disparity_range: int) -> Image:
-        """Match a pair.
+    def prepare(self, disparity_range: int) -> Callable[[Image, Image, Image], Image]:
+        """Make the matcher and its filter, which keep their memory from call to call.
 
         Parameters
         ----------
-        left, right : (H, W) uint8
-            Grey pictures.
-        guide : (H, W, 3) uint8
-            Left picture, guide of the WLS filter.
         disparity_range : int
             Number of disparities, a multiple of 16.
 
         Returns
         -------
-        (H, W) int16
-            Disparity in 1/16 px; negative = none.
+        function
+            Takes the left and the right picture, (H, W) uint8 grey, and the left one as the
+            filter's guide, (H, W, 3) uint8; returns the disparity in 1/16 px, (H, W) int16,
+            negative = none.
 
         """
         matcher = self.matcher(disparity_range)
         if not self.wls_lambda:
-            return matcher.compute(left, right)  # type: ignore[no-any-return]
+            return lambda left, right, _guide: matcher.compute(left, right)
         # in this order: making the filter turns off the matcher's own checks
         wls = wls_filter(matcher, self.wls_lambda)
         right_matcher = cv2.ximgproc.createRightMatcher(matcher)
-        disparity = matcher.compute(left, right)
-        mirrored = right_matcher.compute(right, left)
-        return wls.filter(disparity, guide, disparity_map_right=mirrored)  # type: ignore[no-any-return]
+
+        def compute(left: Image, right: Image, guide: Image) -> Image:
+            disparity = matcher.compute(left, right)
+            mirrored = right_matcher.compute(right, left)
+            return wls.filter(disparity, guide, disparity_map_right=mirrored)  # type: ignore[no-any-return]
+
+        return compute
 
 
 def has_ximgproc() -> bool:

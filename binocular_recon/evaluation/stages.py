@@ -129,7 +129,8 @@ def matching(bench: Bench) -> Contestants:
     guide, search = bench.pair.left, bench.size.disparity_range
 
     def opencv(matcher: peers.OpenCvMatcher) -> Callable[[], object]:
-        return lambda: matcher.compute(left, right, guide, search)
+        compute = matcher.prepare(search)
+        return lambda: compute(left, right, guide)
 
     def ours(preset: str) -> Callable[[], object]:
         config = bench.config(preset).match
@@ -223,14 +224,14 @@ def chain(bench: Bench) -> Contestants:
 
 def _opencv_chain(bench: Bench) -> Callable[[], object]:
     remap, Q = _remap(bench.rig), _reprojection(bench.rig)
-    search = bench.size.disparity_range
+    compute = SGBM_WLS.prepare(bench.size.disparity_range)
 
     def run() -> object:
         left, right = remap(bench.pair.left, bench.pair.right)
         grey_left, grey_right = (
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right)
         )
-        disparity = SGBM_WLS.compute(grey_left, grey_right, left, search)
+        disparity = compute(grey_left, grey_right, left)
         return cv2.reprojectImageTo3D(disparity.astype(np.float32) / 16, Q)
 
     return run
