@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make sure which rods and heights the marks are: a wrong identity is worse than a missing mark.
 
-With even spacing a board of which a part is seen looks the same shifted by a rod or by two marks.
+With even spacing a board of which a part is seen looks the same shifted by a rod or by two marks,
+and every other rod looks like a board turned more.
 Every reading is followed to its consequences: marks must then be elsewhere too, and are there or
 not.
 """
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from binocular_recon.calibration._board_layout import CROOKED
 from binocular_recon.calibration._board_plane import (
     expected_in_picture,
+    lateral_limit_m,
     plane_marks,
     predict_marks,
     slant,
@@ -28,6 +30,7 @@ from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
 FloatImage = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
 
 # By how many marks (missing ones count half) an identity must beat every other one.
 CLEAR_MARGIN = 2.0
@@ -43,6 +46,8 @@ MOST_SLANT = 0.3
 SLANT_COST = 10.0
 # How near to a foot a border must be to be that foot, as a share of the lowest spacing.
 AT_FOOT = 0.15
+# Index of no rod, whatever is added to it.
+NOWHERE = -1000
 
 
 class Reading(NamedTuple):
@@ -114,19 +119,16 @@ def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArr
     rods, marks = np.nonzero(np.isfinite(marks_px[..., 0]))
     if plane_marks(board, marks_px) is None and board.count > 1:
         return
-    seen = sorted(set(rods))
+    seen = np.unique(rods)
     moves = [
-        np.tile((r, m), (len(rods), 1)) for r in (-2, -1, 0, 1, 2) for m in (-2, 0, 2) if r or m
+        np.stack([way[rods] - rods, np.full_like(rods, m)], -1)
+        for way in _rows(board, seen)
+        for m in (-2, 0, 2)
+        if m or (way[seen] != seen).any()
     ]
     if len(seen) == 2:
-        # nothing else tells how far apart the two are, nor how high against each other
-        first = rods == seen[0]
+        # nothing else tells how high the two are against each other
         moves += [np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-2, 2)]
-        moves += [
-            np.stack([np.where(first, a, b) - rods, 0 * rods], -1)
-            for a, b in combinations(range(board.count), 2)
-            if b - a != seen[1] - seen[0]
-        ]
     for move in moves:
         r, m = rods + move[:, 0], marks + move[:, 1]
         exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)
@@ -136,6 +138,30 @@ def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArr
         moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
         if _plausible(board, moved):
             yield moved
+
+
+def _rows(board: RodBoard, seen: IntArray) -> Iterator[IntArray]:
+    """Yield which rods the rods seen may be: (R,) int64 each, `NOWHERE` for one without a place.
+
+    Marks keep their heights, so the board may be shifted and stretched along its row, but not
+    otherwise: of an even row every other rod looks like a row seen more from the side.
+    """
+    x = board.rods_xz_m[:, 0]
+    if len(seen) < 2:
+        yield np.arange(board.count)
+        return
+    limit = lateral_limit_m(board)
+    # one rod at either end may be none, or have no place
+    ends = {(seen[0], seen[-1]), (seen[0], seen[-2]), (seen[1], seen[-1])}
+    known: set[bytes] = set()
+    for first, last in sorted(pair for pair in ends if pair[0] < pair[1]):
+        for one, other in combinations(range(board.count), 2):
+            places = x[one] + (x - x[first]) * (x[other] - x[one]) / (x[last] - x[first])
+            gaps = np.abs(places[:, None] - x)
+            way = np.where(gaps.min(1) < limit, gaps.argmin(1), NOWHERE)
+            if way[seen].tobytes() not in known:
+                known.add(way[seen].tobytes())
+                yield way
 
 
 def _plausible(board: RodBoard, marks_px: FloatArray) -> bool:

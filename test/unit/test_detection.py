@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.calibration._board_layout import Layout
 from binocular_recon.calibration._board_plane import slant
-from binocular_recon.calibration.detection import detect_rods
+from binocular_recon.calibration.detection import _settle, detect_rods
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.errors import ImageError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
@@ -187,6 +188,24 @@ def test_what_cannot_be_told_is_refused() -> None:
     detection = detect_rods(image, placed.board)
     assert not detection.found.any()
     assert 'too little of the board is in view' in detection.messages[0]
+
+
+def test_three_rods_side_by_side_are_not_every_other_rod() -> None:
+    """Two rods are partly hidden; the others look like 1, 3 and 5 of a board turned more."""
+    board = paper_board()
+    image, placed = picture(board, (0.0, 1.2, 8.0), (0.0, 0.9, 0.0))
+    truth = placed.borders_px(LEFT)
+    x0, y0 = truth[:2, 2].min(0).astype(int) - 14
+    x1, y1 = truth[:2, 1].max(0).astype(int) + 14
+    image[y0:y1, x0:x1] = 70
+    mistaken = np.full_like(truth, np.nan)
+    mistaken[::2] = truth[2:]
+    assert slant(board, mistaken, LEFT.camera.size) < 0.3
+    layout = Layout(mistaken, 10.0, frozenset())
+    detection = _settle(image.astype(np.float32).mean(2), board, layout)
+    assert detection is not None
+    assert detection.found[2:].all() and detection.found.sum() == 26
+    assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
 
 
 def test_chessboard_is_no_board() -> None:
