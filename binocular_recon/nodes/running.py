@@ -77,6 +77,7 @@ def run_node(
 
     """
     node = None
+    sys.unraisablehook = _show_unraisable
     try:
         init_ros(sys.argv if args is None else args)
         node = make_node()
@@ -87,8 +88,18 @@ def run_node(
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:
+        # an interrupt in a destructor raises nothing; spinning then finds ROS shut down
+        if node is None or rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _show_unraisable(unraisable: Any) -> None:
+    """Show what cannot be raised, in a destructor, unless it is Ctrl-C."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
