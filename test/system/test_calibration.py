@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from functools import cache, partial
 from pathlib import Path
@@ -58,8 +59,11 @@ class Field:
     def capture(self, left: np.ndarray, right: np.ndarray) -> Any:
         """Send a pair and capture it once the node has it."""
         before = self._received()
-        self.show(left, right)
-        wait_until(lambda: self._received() > before, 'the pair at the node')
+        for _ in range(10):  # one that was sent while a node joined may be lost
+            self.show(left, right)
+            with contextlib.suppress(AssertionError):
+                wait_until(lambda: self._received() > before, 'the pair at the node', 3.0)
+                break
         return self.call('capture')
 
     def _received(self) -> int:
