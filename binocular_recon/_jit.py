@@ -10,8 +10,10 @@ from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy.typing as npt
 
 F = TypeVar('F', bound=Callable[..., Any])
+Array = npt.NDArray[Any]  # of a kernel, whose compiler finds the type
 
 # Without nnan and ninf: NaN keeps its meaning.
 FASTMATH = {'contract', 'arcp', 'nsz', 'reassoc'}

@@ -13,6 +13,8 @@ from binocular_recon.errors import ImageError
 
 Image = npt.NDArray[Any]
 FloatImage = npt.NDArray[np.float32]
+ByteImage = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
 
 # Largest value of each accepted type: white.
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}

@@ -8,14 +8,11 @@ from the rod's light bands, and not from what is beside it.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration._border_fit import BorderFit
 from binocular_recon.calibration._rod_sides import RodFit
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+from binocular_recon.images import FloatImage, Mask
 
 # Distances from the border along the rod that are looked at, px.
 ALONG_PX = np.linspace(2.0, 6.0, 5)

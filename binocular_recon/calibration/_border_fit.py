@@ -6,7 +6,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration._rod_fit_kernels import (
     ABOVE,
@@ -23,8 +22,7 @@ from binocular_recon.calibration._rod_fit_kernels import (
 )
 from binocular_recon.calibration._rod_sides import USUAL_BLUR_PX, RodFit
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 BORDER_STEPS = 8
 

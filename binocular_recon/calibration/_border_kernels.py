@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
 
-FloatImage = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1

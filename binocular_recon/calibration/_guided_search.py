@@ -8,15 +8,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.calibration._board_plane import lateral_limit_m
 from binocular_recon.calibration._layout_kernels import BESIDE
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 # Agreement of the grey levels around a border with the rods' own that makes it a mark
 # (1 = equal, 0 = no border).

@@ -28,8 +28,8 @@ from binocular_recon.calibration._guided_search import Averaged, complete
 from binocular_recon.calibration._refinement import Refined, refine
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
 
-FloatImage = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 # By how many marks (missing ones count half) an identity must beat every other one.

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import kernel
+from binocular_recon.camera import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1

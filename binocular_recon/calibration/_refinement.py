@@ -14,8 +14,7 @@ from binocular_recon.calibration._border_fit import BorderFit, fit_border
 from binocular_recon.calibration._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 # How far along the rod a border's fit looks: shares of the rod's width and of the spacing, px.
 REACH_WIDTHS, REACH_SPACING, LEAST_REACH_PX = 1.2, 0.45, 3.5

@@ -6,12 +6,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import kernel
-
-FloatImage = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
 
 # Parameters of a rod in the picture, with z = (y - y_middle) / y_scale: the middle is at
 # x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and

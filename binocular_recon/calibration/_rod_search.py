@@ -19,8 +19,7 @@ from binocular_recon.calibration._border_kernels import (
 )
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 # Widths of rods that the filters are made for, px of a pyramid level; each level halves the image,
 # so together they cover 2.7 to 50 px.

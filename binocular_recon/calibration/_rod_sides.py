@@ -24,8 +24,7 @@ from binocular_recon.calibration._rod_fit_kernels import (
 )
 from binocular_recon.calibration._rod_start_kernels import centre_rod
 from binocular_recon.camera import FloatArray
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8

@@ -3,13 +3,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from binocular_recon._jit import kernel
-
-FloatImage = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
 
 # Shifts of either end that are tried, as shares of the rod's half width: -4 .. 4 of these steps.
 SHIFT_STEP, SHIFTS = 0.18, 4

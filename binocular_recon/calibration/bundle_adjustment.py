@@ -17,15 +17,13 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration._linearisation import Jacobians, State, linearise, predict
 from binocular_recon.calibration._normal_equations import NormalEquations
 from binocular_recon.calibration.stereo_calibration import COEFFICIENTS, PARAMETERS, check_finite
 from binocular_recon.calibration.target import Target
 from binocular_recon.camera import FloatArray
-
-Mask = npt.NDArray[np.bool_]
+from binocular_recon.images import Mask
 
 # rho turns linear here: 99 % of Gaussian errors stay in the quadratic part, which keeps the
 # estimate within 1 % of the best possible one.

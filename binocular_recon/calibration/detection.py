@@ -20,8 +20,7 @@ from binocular_recon.calibration._rod_search import find_tracks
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
-
-FloatImage = npt.NDArray[np.float32]
+from binocular_recon.images import FloatImage
 
 # Grey levels between the darkest and the lightest part of a picture after stretching.
 FULL_RANGE = 255.0

@@ -16,7 +16,6 @@ import numpy as np
 from binocular_recon.calibration._linearisation import State, linearise
 from binocular_recon.calibration.bundle_adjustment import (
     HUBER,
-    Mask,
     Problem,
     minimise,
     noise_floor_px,
@@ -24,6 +23,7 @@ from binocular_recon.calibration.bundle_adjustment import (
     weighted_rows,
 )
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 # A mark farther off than this many standard deviations (of both axes together) is left out: one
 # good mark in 100,000 is.

@@ -17,7 +17,6 @@ import numpy as np
 from binocular_recon.calibration._linearisation import State, predict
 from binocular_recon.calibration.bundle_adjustment import (
     NOISE_FLOOR_PX,
-    Mask,
     Problem,
     free_parameters,
     minimise,
@@ -26,6 +25,7 @@ from binocular_recon.calibration.stereo_calibration import StereoCalibration, ch
 from binocular_recon.calibration.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.images import Mask
 
 # Marks of a board that one camera must see for a homography that means something.
 MIN_MARKS = 6

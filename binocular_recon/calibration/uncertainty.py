@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.bundle_adjustment import Mask
 from binocular_recon.calibration.stereo_calibration import PARAMETERS, StereoCalibration
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 # Depth is judged over the middle half of the picture's width and height.
 FIELD_SHARE = 0.5

@@ -14,6 +14,7 @@ import numpy as np
 from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.images import ByteImage
 from binocular_recon.io.bag_writer import BagWriter, write_pair
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
@@ -24,7 +25,6 @@ from binocular_recon.simulation.capture import (
     mixed_options,
     simulate_capture,
 )
-from binocular_recon.simulation.clutter import ColorImage
 from binocular_recon.simulation.render import Sensor
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
 from binocular_recon.simulation.rods import paper_board, with_placement
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
     {'rods': _rods, 'scene': _scene}[args.kind](args)
 
 
-def load_photographs(folder: Path) -> tuple[ColorImage, ...]:
+def load_photographs(folder: Path) -> tuple[ByteImage, ...]:
     """Read every picture of a folder as (H, W, 3) uint8.
 
     Raises

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 from binocular_recon.config import ChainConfig, OptionValue
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.metrics import FloatImage
-from binocular_recon.evaluation.scenes import Image, Scene
-from binocular_recon.images import to_grey
+from binocular_recon.evaluation.scenes import Scene
+from binocular_recon.images import FloatImage, Image, to_grey
 from binocular_recon.stereo.filtering import DisparityFilter
 from binocular_recon.stereo.matching import match, sigma_from_confidence
 from binocular_recon.stereo.pipeline import estimate_disparity

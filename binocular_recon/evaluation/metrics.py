@@ -13,8 +13,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-FloatImage = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+from binocular_recon.images import FloatImage, Mask
 
 BAD_THRESHOLDS_PX = (1.0, 2.0, 3.0)
 DEPTH_BANDS_M = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 50.0))

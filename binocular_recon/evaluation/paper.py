@@ -26,8 +26,8 @@ from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.calibration_check import simulated_boards, simulated_captures
 from binocular_recon.evaluation.ruler import Ruler, VerticalPlane
+from binocular_recon.images import ByteImage
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
-from binocular_recon.simulation.clutter import ColorImage
 from binocular_recon.simulation.render import Sensor
 from binocular_recon.simulation.rig import RawRig
 from binocular_recon.simulation.rods import paper_board, with_placement
@@ -63,8 +63,8 @@ class Site:
     seed: int
     rig: RawRig
     scene: Scene
-    left: ColorImage
-    right: ColorImage
+    left: ByteImage
+    right: ByteImage
     picks: list[Pixels]
 
 

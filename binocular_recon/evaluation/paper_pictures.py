@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from binocular_recon.evaluation.paper import BICYCLE, CROP_M, PEOPLE, PaperRun, Survey
-from binocular_recon.images import to_bgr8
-from binocular_recon.io.cloud_picture import Picture, View, draw_cloud
+from binocular_recon.images import ByteImage, to_bgr8
+from binocular_recon.io.cloud_picture import View, draw_cloud
 from binocular_recon.io.colormap import heat_map
 
 LINE_BGR, TEXT_BGR = (60, 230, 255), (255, 255, 255)
@@ -17,7 +17,7 @@ MARGIN = 0.12
 WIDTH_PX = 900
 
 
-def draw_sizes(survey: Survey, run: PaperRun) -> Picture:
+def draw_sizes(survey: Survey, run: PaperRun) -> ByteImage:
     """Return the picture with what was measured, above the disparity map of the same part.
 
     Returns
@@ -49,7 +49,7 @@ def draw_sizes(survey: Survey, run: PaperRun) -> Picture:
     return np.vstack([photo, _enlarged(heat_map(disparity), scale)])
 
 
-def draw_crop(survey: Survey) -> Picture:
+def draw_crop(survey: Survey) -> ByteImage:
     """Return the cloud within the range of depths, from above: (h, 900, 3) uint8, BGR."""
     window = _window(survey)
     points = survey.reconstruction.cloud.points_xyz[window]
@@ -72,7 +72,7 @@ def _window(survey: Survey) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def _enlarged(picture: Picture, scale: float) -> Picture:
+def _enlarged(picture: ByteImage, scale: float) -> ByteImage:
     height = round(picture.shape[0] * scale)
     return np.asarray(
         cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_CUBIC), np.uint8

@@ -10,9 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from binocular_recon.evaluation.metrics import FloatImage
-from binocular_recon.evaluation.scenes import Image
-from binocular_recon.images import to_bgr8, to_grey
+from binocular_recon.images import FloatImage, Image, to_bgr8, to_grey
 
 # The DisparityWLSFilter's usual setting, that of OpenCV's own sample, and a weaker smoothing
 # that turned out better.

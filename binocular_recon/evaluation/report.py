@@ -13,12 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.evaluation.evaluate import SceneResult
-from binocular_recon.evaluation.metrics import FloatImage
 from binocular_recon.evaluation.summary import figure
-from binocular_recon.images import to_bgr8
+from binocular_recon.images import ByteImage, FloatImage, to_bgr8
 from binocular_recon.io.colormap import heat_map
-
-Picture = npt.NDArray[np.uint8]
 
 # Upper limits of the error classes, px, and the colour (RGB) of each: blue right, red wrong.
 ERROR_LIMITS_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
@@ -63,7 +60,7 @@ figcaption { font-size: .84rem; padding-top: .2rem; } figcaption b { font-weight
 """
 
 
-def error_map(disparity_px: FloatImage, truth_px: FloatImage) -> Picture:
+def error_map(disparity_px: FloatImage, truth_px: FloatImage) -> ByteImage:
     """Colour the absolute error of a disparity map.
 
     Parameters
@@ -187,7 +184,7 @@ def _legend() -> str:
     return f'<div class="legend">Error: {"".join(spans)}</div>\n'
 
 
-def _figure(picture: Picture, caption: str, *, photo: bool = False) -> str:
+def _figure(picture: ByteImage, caption: str, *, photo: bool = False) -> str:
     height, width = picture.shape[:2]
     if width > _PICTURE_WIDTH:
         size = (_PICTURE_WIDTH, max(1, round(height * _PICTURE_WIDTH / width)))

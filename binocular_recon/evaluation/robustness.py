@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from binocular_recon.evaluation.methods import Method
-from binocular_recon.evaluation.metrics import FloatImage, accuracy
+from binocular_recon.evaluation.metrics import accuracy
 from binocular_recon.evaluation.scenes import Scene
+from binocular_recon.images import FloatImage
 
 EXPOSURE_GAIN, EXPOSURE_OFFSET = 0.6, 20.0
 CROP_DEPTHS_PX = (0, 4, 8, 16, 32, 64, 128)

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from binocular_recon.errors import FileError, ImageError
-from binocular_recon.evaluation.metrics import FloatImage, Mask, visible_from_truth
+from binocular_recon.evaluation.metrics import visible_from_truth
+from binocular_recon.images import FloatImage, Image, Mask
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
-
-Image = npt.NDArray[Any]
 
 # A sparser ground truth does not show what hides what.
 _DENSE_PERCENT = 40.0

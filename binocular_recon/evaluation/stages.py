@@ -17,10 +17,8 @@ import numpy as np
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.metrics import FloatImage
-from binocular_recon.evaluation.scenes import Image
 from binocular_recon.evaluation.synthetic import SyntheticPair, synthetic_pair
-from binocular_recon.images import to_grey
+from binocular_recon.images import FloatImage, Image, to_grey
 from binocular_recon.stereo.filtering import DisparityFilter
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.pipeline import Chain

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture pairs made from nothing, with known disparity: what timings and tests run on."""
+"""ByteImage pairs made from nothing, with known disparity: what timings and tests run on."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.evaluation.metrics import FloatImage
-
-Picture = npt.NDArray[np.uint8]
+from binocular_recon.images import ByteImage, FloatImage
 
 # Share of the disparity range that the scene fills.
 _NEAREST, _FARTHEST = 0.85, 0.12
@@ -34,8 +32,8 @@ class SyntheticPair:
 
     """
 
-    left: Picture
-    right: Picture
+    left: ByteImage
+    right: ByteImage
     disparity_px: FloatImage
     visible: npt.NDArray[np.bool_]
 
@@ -119,6 +117,6 @@ def _texture(
     return grey.astype(np.float32), tint.astype(np.float32)
 
 
-def _exposed(light: FloatImage, random: np.random.Generator) -> Picture:
+def _exposed(light: FloatImage, random: np.random.Generator) -> ByteImage:
     noise = random.normal(0.0, _NOISE_GREY_LEVELS, light.shape)
     return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)

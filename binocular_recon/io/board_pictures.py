@@ -7,17 +7,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.report import BoardPicture
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import BinocularReconError
-from binocular_recon.images import to_bgr8
+from binocular_recon.images import ByteImage, to_bgr8
 from binocular_recon.io.captures import BoardFiles, find_boards
 from binocular_recon.io.image_files import read_image_file
-
-BgrImage = npt.NDArray[np.uint8]
 
 # Boards shown at most: those left out first, then evenly chosen ones.
 MOST_BOARDS = 16
@@ -80,7 +77,7 @@ def _pair(files: BoardFiles, marks: tuple[FloatArray, FloatArray] | None) -> byt
     return bytes(cv2.imencode('.jpg', np.hstack(padded), quality)[1])
 
 
-def _small(image: BgrImage, marks: list[FloatArray]) -> BgrImage:
+def _small(image: ByteImage, marks: list[FloatArray]) -> ByteImage:
     """Return a picture ``WIDTH_PX`` wide with circles at the marks used and left out."""
     scale = WIDTH_PX / image.shape[1]
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

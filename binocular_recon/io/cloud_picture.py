@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.images import FloatImage
-
-Picture = npt.NDArray[np.uint8]
+from binocular_recon.images import ByteImage, FloatImage
 
 # Points are drawn in a larger picture that is then averaged down.
 _OVERSAMPLING = 2
@@ -44,8 +42,8 @@ class View:
 
 
 def draw_cloud(
-    points_xyz: FloatImage, bgr: Picture, size: tuple[int, int], view: View | None = None
-) -> Picture:
+    points_xyz: FloatImage, bgr: ByteImage, size: tuple[int, int], view: View | None = None
+) -> ByteImage:
     """Draw the points of a cloud as squares that hide each other, the whole cloud in sight.
 
     Parameters
@@ -118,12 +116,12 @@ def _fitted(seen: FloatImage, width: int, height: int) -> tuple[FloatImage, Floa
 
 
 def _splat(
-    canvas: Picture,
+    canvas: ByteImage,
     x: FloatImage,
     y: FloatImage,
     depth: FloatImage,
     sides: npt.NDArray[np.int_],
-    colours: Picture,
+    colours: ByteImage,
 ) -> None:
     """Paint squares from the farthest to the nearest."""
     height, width = canvas.shape[:2]

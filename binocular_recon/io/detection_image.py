@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.detection import Detection
-
-BgrImage = npt.NDArray[np.uint8]
+from binocular_recon.images import ByteImage
 
 _FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
 # Size of a mark and of letters, as a share of the picture's height.
@@ -17,8 +15,8 @@ _MARK_SHARE, _TEXT_SHARE = 1 / 120, 1 / 30
 
 
 def draw_detections(
-    pictures: tuple[BgrImage, BgrImage], found: tuple[Detection, Detection]
-) -> BgrImage:
+    pictures: tuple[ByteImage, ByteImage], found: tuple[Detection, Detection]
+) -> ByteImage:
     """Draw the marks of both pictures, side by side.
 
     Parameters
@@ -38,7 +36,7 @@ def draw_detections(
     return np.hstack([_drawn(*side) for side in zip(pictures, found, strict=True)])
 
 
-def _drawn(picture: BgrImage, detection: Detection) -> BgrImage:
+def _drawn(picture: ByteImage, detection: Detection) -> ByteImage:
     image = picture.copy()
     height = image.shape[0]
     radius, scale = max(2, round(height * _MARK_SHARE)), height * _TEXT_SHARE / 30
@@ -60,7 +58,7 @@ def _drawn(picture: BgrImage, detection: Detection) -> BgrImage:
     return image
 
 
-def _write(image: BgrImage, text: str, place: tuple[int, int], scale: float) -> None:
+def _write(image: ByteImage, text: str, place: tuple[int, int], scale: float) -> None:
     for colour, width in ((_OUTLINE, 4), (_TEXT, 1)):
         thickness = max(1, round(scale * width))
         cv2.putText(

@@ -11,14 +11,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 from binocular_recon.io.messages import fill_image, image_samples
-
-Mask = npt.NDArray[np.bool_]
 
 # How far a value may lie from stereo_image_proc's marker, which is computed in sixteenths.
 _MARKER_TOLERANCE_PX = 1 / 32

@@ -12,8 +12,8 @@ from stereo_msgs.msg import DisparityImage
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage, to_bgr8, to_grey
 from binocular_recon.images import Image as Picture
-from binocular_recon.images import to_bgr8, to_grey
 from binocular_recon.io.cloud_messages import fill_cloud
 from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.disparity_messages import DisparityMap, fill_disparity, read_disparity
@@ -23,7 +23,6 @@ from binocular_recon.nodes.options import CloudMessageOptions, PresetOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
 from binocular_recon.stereo.filtering import DisparityFilter, Filtered, filter_disparity
-from binocular_recon.stereo.matching import FloatImage
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
 from binocular_recon.simulation._ray_kernels import ray_of_pixel
 
-FloatImage = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
 NOTHING = -1

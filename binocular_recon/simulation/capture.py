@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
-from binocular_recon.simulation.clutter import KINDS, ColorImage, fractal_noise, paint
+from binocular_recon.images import ByteImage
+from binocular_recon.simulation.clutter import KINDS, fractal_noise, paint
 from binocular_recon.simulation.render import (
     Billboard,
     RodPaint,
@@ -62,11 +63,11 @@ class CaptureOptions:
     noise: float = 2.0
     depth_m: tuple[float, float] = (5.0, 16.0)
     kinds: tuple[str, ...] = tuple(KINDS)
-    photographs: tuple[ColorImage, ...] = ()
+    photographs: tuple[ByteImage, ...] = ()
 
 
 def mixed_options(
-    rng: np.random.Generator, photographs: tuple[ColorImage, ...] = (), **changes: Any
+    rng: np.random.Generator, photographs: tuple[ByteImage, ...] = (), **changes: Any
 ) -> CaptureOptions:
     """Draw difficulties: 30 % of boards occluded, 20 % cut by the frame, 20 % tilted."""
     return CaptureOptions(
@@ -95,8 +96,8 @@ class SimulatedCapture:
 
     """
 
-    left: ColorImage
-    right: ColorImage
+    left: ByteImage
+    right: ByteImage
     placed: PlacedBoard
     left_px: FloatArray = field(repr=False)
     right_px: FloatArray = field(repr=False)

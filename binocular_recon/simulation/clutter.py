@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-ColorImage = npt.NDArray[np.uint8]
+from binocular_recon.images import ByteImage
+
 GreyField = npt.NDArray[np.float32]
 
 
-def paint(kind: str, size: tuple[int, int], rng: np.random.Generator) -> ColorImage:
+def paint(kind: str, size: tuple[int, int], rng: np.random.Generator) -> ByteImage:
     """Paint a background.
 
     Parameters

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import Camera, FloatArray
+from binocular_recon.images import ByteImage
 from binocular_recon.simulation._ray_kernels import draw_cylinder
 from binocular_recon.simulation.rig import View
 from binocular_recon.simulation.rods import PlacedBoard
 
 Canvas = npt.NDArray[np.float32]
-ByteImage = npt.NDArray[np.uint8]
 
 # Rays of flat pictures are exact at every 16th pixel and interpolated between (0.01 px).
 GRID_PX = 16

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.camera import FloatArray, StereoRig
+from binocular_recon.images import ByteImage
 from binocular_recon.simulation._scene_kernels import (
     COLUMNS,
     ELLIPSOID,
@@ -20,7 +21,6 @@ from binocular_recon.simulation._scene_kernels import (
     paint_rows,
     trace_rows,
 )
-from binocular_recon.simulation.clutter import ColorImage
 from binocular_recon.simulation.render import Sensor, expose
 from binocular_recon.simulation.rig import RawRig, View, raw_camera
 from binocular_recon.simulation.scene_things import (
@@ -97,7 +97,7 @@ def build_scene(rng: np.random.Generator) -> Scene:
     return Scene(table, tuple(owners), points, lengths, level @ UP)
 
 
-def render_scene(scene: Scene, view: View, sensor: Sensor, rng: np.random.Generator) -> ColorImage:
+def render_scene(scene: Scene, view: View, sensor: Sensor, rng: np.random.Generator) -> ByteImage:
     """Return what a raw camera sees: (H, W, 3) uint8, anti-aliased, with blur and noise."""
     width, height = view.camera.size
     image = np.zeros((height, width, 3), np.float32)

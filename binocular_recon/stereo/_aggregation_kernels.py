@@ -15,9 +15,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import inline_kernel, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon._simd import (
     LANES,
     add_saturated,
@@ -30,8 +29,6 @@ from binocular_recon._simd import (
     store,
 )
 from binocular_recon.stereo._cost_kernels import CostSource, new_cost_rows, next_cost_row
-
-Array = npt.NDArray[Any]
 
 EIGHTH = 3  # bits
 SENTINEL = np.uint8(255)  # above every sum that is told apart

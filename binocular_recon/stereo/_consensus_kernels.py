@@ -3,14 +3,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
-
-Array = npt.NDArray[Any]
+from binocular_recon._jit import Array, kernel
 
 
 @kernel

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import (
     LANES,
     larger,
@@ -29,8 +28,6 @@ from binocular_recon.stereo._ncc_kernels import (
     new_statistics,
     normalise_row,
 )
-
-Array = npt.NDArray[Any]
 
 WORST = np.int32(252)  # cost of score 0 or less
 UNKNOWN = np.int32(160)  # cost of what cannot be seen: that of a random match

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the filter around its solver: holes along rows, links, the variance of pixels."""
+"""Kernels of the filter around its solver: links and the variance of pixels."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
-
-Array = npt.NDArray[Any]
+from binocular_recon._jit import Array, kernel
 
 REACH = 3  # of the window in which the data's scatter around the solution is taken
 _ZERO = np.float32(0)
@@ -43,47 +40,6 @@ class Evidence(NamedTuple):
     unmatched: float
     spread_share: float
     distance_share: float
-
-
-@kernel
-def fill_from_nearest(measured: Array, filled: Array, start: int, stop: int) -> None:
-    """Give each NaN the nearest value of its row; the left one of two equally near."""
-    width = measured.shape[1]
-    for y in range(start, stop):
-        row, out, x = measured[y], filled[y], 0
-        while x < width:
-            out[x] = row[x]
-            if not np.isnan(row[x]):
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(row[end]):
-                end += 1
-            middle = (x + end + 1) // 2 if end < width else end
-            if x == 0:
-                middle = 0
-            out[x:middle] = row[x - 1] if x else np.float32(np.nan)
-            out[middle:end] = row[end] if end < width else np.float32(np.nan)
-            x = end
-
-
-@kernel
-def spread_of_gaps(measured: Array, spread: Array, start: int, stop: int) -> None:
-    """Write the difference between the two ends of each run of NaN; 0 elsewhere."""
-    width = measured.shape[1]
-    for y in range(start, stop):
-        row, x = measured[y], 0
-        spread[y] = _ZERO
-        while x < width:
-            if not np.isnan(row[x]):
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(row[end]):
-                end += 1
-            if x > 0 and end < width:
-                spread[y, x:end] = abs(row[end] - row[x - 1])
-            x = end
 
 
 @kernel

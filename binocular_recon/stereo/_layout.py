@@ -8,16 +8,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo._layout_kernels import is_whole, lay_out_strip
 from binocular_recon.stereo._ncc_kernels import Pair
-
-FloatImage = npt.NDArray[np.float32]
 
 # Grey levels farther than this outside 0..255 are no interpolation overshoot but another unit.
 _OVERSHOOT = 128.0

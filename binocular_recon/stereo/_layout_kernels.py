@@ -3,15 +3,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import Array, kernel
 from binocular_recon.stereo._ncc_kernels import Pair
-
-Array = npt.NDArray[Any]
 
 MID_GREY = 128
 

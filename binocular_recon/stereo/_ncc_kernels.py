@@ -16,12 +16,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
-
-Array = npt.NDArray[Any]
 
 NO_SCORE = np.float32(-1.75)  # below every score, above what overflows a key
 PLACE_BITS = 12

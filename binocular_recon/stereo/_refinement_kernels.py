@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that complete and smooth a disparity map."""
+"""Kernels of refinement: speckles, medians and planes."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import (
     LANES,
     at_most,
@@ -21,8 +18,6 @@ from binocular_recon._simd import (
     to_int32,
 )
 
-Array = npt.NDArray[Any]
-
 REACH = 2  # samples on each side of the pixel ...
 SPACING = 3  # ... every so many pixels: neighbours repeat the same error
 BORDER = REACH * SPACING
@@ -32,74 +27,6 @@ MEDIAN_BORDER = MEDIAN_REACH * MEDIAN_SPACING
 MEDIAN_ERROR_PX = np.float32(0.1)  # bisection ends
 FEW = np.float32(5)  # samples that a plane needs
 FLAT = np.float32(1e-2)  # least spread of the samples: a plane needs two directions
-
-
-@kernel
-def fill_strip(disparity: Array, filled: Array, start: int, stop: int) -> None:
-    """Give each run of NaN the smaller disparity of its two ends: the background's."""
-    width = disparity.shape[1]
-    for y in range(start, stop):
-        x = 0
-        before = np.float32(np.nan)
-        while x < width:
-            if not np.isnan(disparity[y, x]):
-                before = disparity[y, x]
-                filled[y, x] = before
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(disparity[y, end]):
-                end += 1
-            after = disparity[y, end] if end < width else before
-            if np.isnan(before):
-                before = after
-            filled[y, x:end] = min(before, after)
-            x = end
-
-
-@kernel
-def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, stop: int) -> None:
-    """Mark runs of NaN wider than what the step between their ends hides, by ``slack`` px."""
-    width = disparity.shape[1]
-    for y in range(start, stop):
-        x = 0
-        before = np.float32(0)  # columns left of the picture's disparity are out of sight
-        while x < width:
-            marks[y, x] = False
-            if not np.isnan(disparity[y, x]):
-                before = disparity[y, x]
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(disparity[y, end]):
-                end += 1
-            hidden = disparity[y, end] - before if end < width else np.float32(0)
-            marks[y, x:end] = end - x > hidden + slack
-            x = end
-
-
-@kernel
-def raise_to_columns(disparity: Array, marks: Array, filled: Array, start: int, stop: int) -> None:
-    """Raise marked pixels of columns ``start`` to ``stop`` to the smaller of the column's ends."""
-    height = len(disparity)
-    above = np.empty((height, stop - start), np.float32)
-    nearest = np.full(stop - start, np.float32(np.nan))
-    for y in range(height):
-        for i in range(nearest.size):
-            here = disparity[y, start + i]
-            nearest[i] = here if here == here else nearest[i]
-            above[y, i] = nearest[i]
-    nearest[:] = np.nan
-    for y in range(height - 1, -1, -1):
-        for i in range(nearest.size):
-            here = disparity[y, start + i]
-            nearest[i] = here if here == here else nearest[i]
-        for i in range(nearest.size):
-            # a comparison with NaN is false
-            end = nearest[i] if not above[y, i] <= nearest[i] else above[y, i]
-            end = end if end == end else above[y, i]
-            if marks[y, start + i] and end > filled[y, start + i]:
-                filled[y, start + i] = end
 
 
 @kernel
@@ -141,28 +68,6 @@ def put_inside(
         row[border + width :] = np.nan
         for x in range(width):
             row[border + x] = values[y, x] if shown[y, x] == shown[y, x] else np.float32(np.nan)
-
-
-@kernel
-def count_holes(disparity: Array, half: Array, labels: Array, size: Array, seen: Array) -> None:
-    """Count the pixels of each labelled hole, and how many of them ``half`` sees."""
-    for y in range(disparity.shape[0]):
-        for x in range(disparity.shape[1]):
-            if np.isnan(disparity[y, x]):
-                size[labels[y, x]] += 1
-                seen[labels[y, x]] += not np.isnan(half[y // 2, x // 2])
-
-
-@kernel
-def fill_holes(
-    labels: Array, fill: Array, half: tuple[Array, Array], whole: tuple[Array, Array]
-) -> None:
-    """Double what half resolution says, disparity and sigma, of the holes to ``fill``."""
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if fill[labels[y, x]] and not np.isnan(half[0][y // 2, x // 2]):
-                whole[0][y, x] = 2 * half[0][y // 2, x // 2]
-                whole[1][y, x] = 2 * half[1][y // 2, x // 2]
 
 
 @kernel

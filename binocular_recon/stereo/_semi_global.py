@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo._aggregation_kernels import Decision, Penalties, match_strip
 from binocular_recon.stereo._cost_kernels import CostSource
 from binocular_recon.stereo._layout import even_levels, exposure_gain, lay_out, padded_range
-
-FloatImage = npt.NDArray[np.float32]
 
 # Grey levels below are `even_levels`: they do not change with the exposure.
 MIDDLE_GREY = 128

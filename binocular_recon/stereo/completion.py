@@ -9,13 +9,12 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from binocular_recon._jit import over_strips
-from binocular_recon.stereo._refinement_kernels import (
+from binocular_recon.images import FloatImage, Mask
+from binocular_recon.stereo._hole_kernels import (
     fill_strip,
     mark_unexplained,
     raise_to_columns,
 )
-
-FloatImage = npt.NDArray[np.float32]
 
 # Confidence of a completed pixel: a standard deviation of about 1 px (see `matching`).
 COMPLETED_CONFIDENCE = 0.06
@@ -56,11 +55,7 @@ def complete(
     holes = np.isnan(disparity_px) | ~(confidence > 0)
     measured = np.where(holes, np.float32(np.nan), disparity_px)
     filled = fill_from_background(measured)
-    unexplained = np.empty(filled.shape, np.bool_)
-    over_strips(
-        lambda start, stop: mark_unexplained(measured, HIDDEN_SLACK_PX, unexplained, start, stop),
-        len(filled),
-    )
+    unexplained = unexplained_holes(measured)
     over_strips(
         lambda start, stop: raise_to_columns(measured, unexplained, filled, start, stop),
         filled.shape[1],
@@ -98,6 +93,32 @@ def fill_from_background(disparity_px: FloatImage) -> FloatImage:
         nearest = np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)
         filled[empty] = filled[rows[nearest]]
     return filled
+
+
+def unexplained_holes(disparity_px: FloatImage) -> Mask:
+    """Return where runs of holes along rows are wider than what hides them.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Disparity; NaN = none.
+
+    Returns
+    -------
+    unexplained : (H, W) bool
+        The right camera does not see as many columns as the disparity rises by from a run's left
+        end to its right end; wider runs, by `HIDDEN_SLACK_PX`, have another cause: most often no
+        texture.
+
+    """
+    unexplained = np.empty(disparity_px.shape, np.bool_)
+    over_strips(
+        lambda start, stop: mark_unexplained(
+            disparity_px, HIDDEN_SLACK_PX, unexplained, start, stop
+        ),
+        len(unexplained),
+    )
+    return unexplained
 
 
 def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:

@@ -7,13 +7,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo._consensus_kernels import carry_over_strip
-
-FloatImage = npt.NDArray[np.float32]
 
 # Matches within this of their median agree.
 AGREEMENT_PX = 0.5

@@ -15,12 +15,12 @@ import numpy.typing as npt
 from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo import _filter_kernels as kernels
+from binocular_recon.stereo._hole_kernels import fill_from_nearest, spread_of_gaps
 from binocular_recon.stereo._wls_solver import System
 from binocular_recon.stereo.completion import COMPLETED_CONFIDENCE, complete
 from binocular_recon.stereo.matching import SIGMA_UNIT_PX
-
-FloatImage = npt.NDArray[np.float32]
 
 # Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
 LIMIT_MARGIN_PX = 2.0**-10
@@ -242,7 +242,7 @@ def _data_term(
 def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
     """Return the standard deviation of every pixel."""
     sigma = np.empty_like(measured)
-    over_strips(kernels.spread_of_gaps, len(measured), measured, sigma)
+    over_strips(spread_of_gaps, len(measured), measured, sigma)
     hole = np.isnan(measured)
     _copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
     evidence = kernels.Evidence(
@@ -282,7 +282,7 @@ def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
 def _nearest_in_row(measured: FloatImage) -> FloatImage:
     """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
     filled = np.empty_like(measured)
-    over_strips(kernels.fill_from_nearest, len(measured), measured, filled)
+    over_strips(fill_from_nearest, len(measured), measured, filled)
     _copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
     return filled
 

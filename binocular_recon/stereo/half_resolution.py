@@ -7,17 +7,34 @@ import dataclasses
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
-from binocular_recon.stereo._refinement_kernels import count_holes, fill_holes
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo._hole_kernels import count_holes, fill_holes
+from binocular_recon.stereo.completion import unexplained_holes
 
-FloatImage = npt.NDArray[np.float32]
-
+# A picture has weak texture if a region of this share of it has no match for no other reason.
+LEAST_REGION = 0.01
 # A hole is weak texture if half resolution sees this share of it; what is hidden from one picture
 # is hidden at half resolution too.
 LEAST_SHARE = 0.5
+
+
+def has_weak_texture(disparity_px: FloatImage) -> bool:
+    """Whether a region that could not be matched is large and not hidden from the right camera.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Disparity; NaN = none.
+
+    """
+    # every second row and column show regions of that size
+    holes = unexplained_holes(disparity_px)[::2, ::2].astype(np.uint8)
+    _, _, regions, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
+    largest = regions[1:, cv2.CC_STAT_AREA].max(initial=0)  # the first is what has a match
+    return bool(largest >= LEAST_REGION * holes.size)
 
 
 def halve(image: FloatImage) -> FloatImage:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo._layout import even_levels
 from binocular_recon.stereo._refinement_kernels import (
     BORDER,
@@ -18,8 +18,6 @@ from binocular_recon.stereo._refinement_kernels import (
     weighted_median_strip,
 )
 from binocular_recon.stereo.completion import fill_from_background
-
-FloatImage = npt.NDArray[np.float32]
 
 # Standard deviation of a smooth disparity: what all pixels share (interpolation, rectification),
 # and a factor on what planes leave (errors of neighbours are alike). From Motorcycle, cones and

@@ -19,6 +19,7 @@ from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.metrics import visible_from_truth
+from binocular_recon.images import FloatImage
 from binocular_recon.io.bag_writer import BagWriter, write_pair
 from binocular_recon.io.bags import Bag
 from binocular_recon.io.calibration_yaml import write_camera
@@ -30,7 +31,6 @@ from binocular_recon.stereo.pipeline import estimate_disparity
 BAGS = Path(__file__).parents[2] / 'bags'
 VERTEX = np.dtype([('xyz', '<f4', 3), ('rgb', 'u1', 3), ('sigma_z', '<f4')])
 
-FloatImage = npt.NDArray[np.float32]
 
 # A wall that slants from 5 to 9 m, seen by a rig with distortion, a turn between the cameras and
 # different principal points.

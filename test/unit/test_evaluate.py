@@ -25,9 +25,10 @@ from binocular_recon.evaluation.report import (
     error_map,
 )
 from binocular_recon.evaluation.robustness import crop_changes, darkened, exposure_change
-from binocular_recon.evaluation.scenes import Image, Scene, find_scenes, read_scene
+from binocular_recon.evaluation.scenes import Scene, find_scenes, read_scene
 from binocular_recon.evaluation.synthetic import SyntheticPair, synthetic_pair
 from binocular_recon.evaluation.timing import interleaved
+from binocular_recon.images import Image
 from binocular_recon.io.pfm import write_pfm
 
 WIDTH, HEIGHT, RANGE = 200, 120, 32

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from binocular_recon.config import ChainConfig, FilterConfig
 from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo.completion import complete
 from binocular_recon.stereo.filtering import (
     LEAST_SIGMA_PX,
@@ -32,7 +32,6 @@ LIMITS_PX = (0.0, 64.0)
 # eq. 13 as it stands
 PLAIN = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, wls_tolerance_px=2e-4)
 NAN = np.float32(np.nan)
-FloatImage = npt.NDArray[np.float32]
 
 
 def scene(

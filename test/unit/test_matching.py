@@ -7,11 +7,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from binocular_recon.config import ChainConfig, MatchConfig, OptionValue
 from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo import matching
 from binocular_recon.stereo.matching import (
     confidence_from_sigma,
@@ -22,7 +22,6 @@ from binocular_recon.stereo.matching import (
 from test import naive_ncc
 
 pytestmark = pytest.mark.kernel
-FloatImage = npt.NDArray[np.float32]
 both_ways = pytest.mark.parametrize('semi_global', [False, True])
 REFERENCE = Path(__file__).parents[1] / 'data' / 'ncc.npz'
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from binocular_recon.evaluation.metrics import (
-    FloatImage,
     accuracy,
     depth_errors,
     depth_from_disparity,
@@ -17,6 +16,7 @@ from binocular_recon.evaluation.metrics import (
     sigma_bins,
     visible_from_truth,
 )
+from binocular_recon.images import FloatImage
 
 NAN = math.nan
 

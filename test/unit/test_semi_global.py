@@ -9,13 +9,13 @@ import numpy.typing as npt
 import pytest
 
 from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._cost_kernels import new_cost_rows, next_cost_row
 from binocular_recon.stereo._layout import even_levels, exposure_gain
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel
-FloatImage = npt.NDArray[np.float32]
 
 
 def pair(height: int, width: int, seed: int = 0) -> tuple[FloatImage, FloatImage]:

@@ -13,7 +13,7 @@ import pytest
 from binocular_recon import _jit
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.synthetic import synthetic_pair
-from binocular_recon.images import to_grey
+from binocular_recon.images import FloatImage, to_grey
 from binocular_recon.stereo import _wls_solver
 from binocular_recon.stereo import _wls_transfer_kernels as transfers
 from binocular_recon.stereo._wls_kernels import PAD
@@ -27,7 +27,6 @@ DEFAULT = (0.02, 1.2, 1e-4)
 TOLERANCE_PX = 0.01
 # Of float32, for values up to 100 px.
 ROUNDING_PX = 2e-4
-FloatImage = npt.NDArray[np.float32]
 
 
 class Equations(NamedTuple):
