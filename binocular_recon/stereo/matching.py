@@ -7,19 +7,22 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
 from binocular_recon.stereo import _semi_global
 from binocular_recon.stereo._layout import check_pair, lay_out
 from binocular_recon.stereo._ncc_kernels import Selection, score_strip, select_strip
 from binocular_recon.stereo._refinement_kernels import drop_negative, to_steps
 from binocular_recon.stereo.consensus import agree, carry_over, members
-from binocular_recon.stereo.half_resolution import fill_from_half, half_config, halve
+from binocular_recon.stereo.half_resolution import (
+    fill_from_half,
+    half_config,
+    halve,
+    has_weak_texture,
+)
 from binocular_recon.stereo.refinement import smooth
-
-FloatImage = npt.NDArray[np.float32]
 
 # Disparities are rounded to this step, `delta_d` of a DisparityImage; without sub-pixel it is 1.
 SUBPIXEL_STEP_PX = 1 / 64
@@ -130,7 +133,7 @@ def _measure(
 ) -> tuple[FloatImage, FloatImage]:
     """Return the disparity and its standard deviation."""
     disparity, sigma = _measure_once(left, right, config)
-    if config.half_resolution:
+    if config.half_resolution and has_weak_texture(disparity):
         half = _measure_once(halve(left), halve(right), half_config(config))
         fill_from_half(disparity, sigma, *half, config.speckle_size)
     return disparity, sigma

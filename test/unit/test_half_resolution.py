@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from binocular_recon.config import MatchConfig
-from binocular_recon.stereo.half_resolution import fill_from_half, half_config
+from binocular_recon.stereo.half_resolution import (
+    fill_from_half,
+    half_config,
+    has_weak_texture,
+)
 from binocular_recon.stereo.matching import match
 
 pytestmark = pytest.mark.kernel
@@ -40,6 +44,16 @@ def test_only_holes_that_half_resolution_mostly_sees_are_filled() -> None:
     np.testing.assert_array_equal(disparity, expected)
     assert sigma[8, 7] == np.float32(0.6)
     np.testing.assert_array_equal(np.isnan(sigma), np.isnan(disparity))
+
+
+@pytest.mark.parametrize(('rows', 'step', 'weak'), [(20, 4, True), (4, 4, False), (20, 30, False)])
+def test_texture_is_weak_where_a_large_region_is_not_hidden(
+    rows: int, step: int, weak: bool
+) -> None:
+    disparity = np.full((100, 200), 5, np.float32)
+    disparity[:, 90:] += step  # hides as many columns
+    disparity[40 : 40 + rows, 60:90] = np.nan  # 3 % or 0.6 % of the picture
+    assert has_weak_texture(disparity) == weak
 
 
 @pytest.mark.large
