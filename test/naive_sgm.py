@@ -14,8 +14,8 @@ WORST, UNKNOWN = 252, 160
 
 def costs(
     left: npt.ArrayLike, right: npt.ArrayLike, size: int, first: int, count: int, noise: float
-) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return costs before rounding (H, W, D), and which pixels have any (H, W).
+) -> tuple[Array, list[npt.NDArray[np.bool_]]]:
+    """Return costs before rounding (H, W, D), and which pixels of either picture have any (H, W).
 
     Two windows share the say: the one of ``size - 2`` where its variance v exceeds the noise's n
     (v / (v + n)), the one of ``size`` for the rest.
@@ -27,21 +27,23 @@ def costs(
     inside = slice(radius, -radius)
     height, width = left[inside, inside].shape
     result = np.full((height, width, count), float(UNKNOWN))
-    scored = np.zeros((height, width), bool)
     half = max(size - 2, 3) // 2
     for y in range(height):
         for x in range(width):
             rows, columns = y + radius, x + radius
             window = left[rows - half : rows + half + 1, columns - half : columns + half + 1]
-            around = left[y : y + size, x : x + size]
-            scored[y, x] = bool(np.isfinite(around).all() and np.ptp(around) > 0)
             share = window.var() / (window.var() + noise**2)
             for k in range(count):
                 if np.isfinite(big[rows, columns, k]):
                     score = (1 - share) * big[rows, columns, k]
                     score += share * np.nan_to_num(small[rows, columns, k])
                     result[y, x, k] = min(max(WORST * (1 - score), 0), WORST)
-    return result, scored
+    return result, [_scored(left, size), _scored(right, size)]
+
+
+def _scored(padded: Array, size: int) -> npt.NDArray[np.bool_]:
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (size, size))
+    return np.array([[bool(np.ptp(window) > 0) for window in row] for row in windows])
 
 
 def aggregate(
@@ -75,14 +77,24 @@ def _along(
     return path
 
 
-def choose(total: npt.NDArray[np.int64], first: int, max_difference: float) -> Array:
-    """Return each left pixel's best disparity if the right one's agrees; NaN = none."""
+def choose(
+    total: npt.NDArray[np.int64],
+    scored: list[npt.NDArray[np.bool_]],
+    first: int,
+    max_difference: float,
+) -> Array:
+    """Return each left pixel's best disparity if the right one's agrees; NaN = none.
+
+    A negative ``max_difference`` lets any agree.
+    """
     height, width, count = total.shape
     best = total.argmin(axis=2)
     result = np.full((height, width), np.nan)
     for y in range(height):
         for x in range(width):
             there = x - first - best[y, x]
+            if not (0 <= there < width and scored[0][y, x] and scored[1][y, there]):
+                continue
             candidates = {
                 k: total[y, there + first + k, k]
                 for k in range(count)
@@ -90,6 +102,6 @@ def choose(total: npt.NDArray[np.int64], first: int, max_difference: float) -> A
             }
             winners = [k for k, cost in candidates.items() if cost == min(candidates.values())]
             difference = min(abs(k - best[y, x]) for k in winners)
-            if 0 <= there < width and difference <= max_difference:
+            if difference <= max_difference or max_difference < 0:
                 result[y, x] = first + best[y, x]
     return result

@@ -182,6 +182,7 @@ def match_strip(
     rows = new_cost_rows(source)
     paths = _new_paths(width, source.padded)
     scored = np.zeros((BLOCK, width), np.bool_)
+    right_scored = np.zeros((BLOCK, rows.highest.size), np.bool_)
     best = np.empty((BACKS, width + source.padded), np.uint8)
     for y in range(first, start):
         next_cost_row(source, rows, y, first, paths.costs[0])
@@ -192,25 +193,31 @@ def match_strip(
         for r in range(count):
             has = next_cost_row(source, rows, y + r, first, paths.costs[r])
             scored[r] = has[:width]
+            right_scored[r] = rows.big.right_norm[2] > 0
         _aggregate_across(paths, levels, penalties, source.disparities, y, count)
         for r in range(count):
             total = paths.totals[r]
             _aggregate_down(paths, levels, penalties, y + r, r, total)
-            _decide_row(paths.costs[r], total, scored[r], best, source, decision, y + r)
+            seen = scored[r], right_scored[r]
+            _decide_row(paths.costs[r], total, seen, best, source, decision, y + r)
 
 
 @kernel
 def _decide_row(
     costs: Array,
     total: Array,
-    scored: Array,
+    scored: tuple[Array, Array],
     best: Array,
     source: CostSource,
     decision: Decision,
     y: int,
 ) -> None:
-    """Choose the best disparities of a row, of both pictures, and keep those that agree."""
-    width, padded, disparities = scored.size, source.padded, source.disparities
+    """Choose the best disparities of a row, of both pictures, and keep those that agree.
+
+    ``scored``: which left pixels (W) and right ones, from right to left, have any score.
+    """
+    left_scored, right_scored = scored
+    width, padded, disparities = left_scored.size, source.padded, source.disparities
     best[:] = SENTINEL
     chosen = np.empty(width, np.int64)
     for x in range(width):
@@ -232,16 +239,14 @@ def _decide_row(
     tolerance = int(np.floor(decision.disp12_max_diff))
     for x in range(width):
         at, place = x * padded, chosen[x]
-        if not scored[x]:
+        there = width - 1 - x + place
+        if not (left_scored[x] and right_scored[there]):
             continue
-        seen = x - decision.min_disparity - place
         agrees = tolerance < 0
-        if 0 <= seen < width:
-            least = best[0, width - 1 - x + place]
-            low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
-            for j in range(low, min(high, width - 1 - x) + 1):
-                # the same right pixel, paired with a neighbour of the left one
-                agrees |= total[at + place + j * (padded + 1)] == least
+        low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
+        for j in range(low, min(high, width - 1 - x) + 1):
+            # the same right pixel, paired with a neighbour of the left one
+            agrees |= total[at + place + j * (padded + 1)] == best[0, there]
         if not agrees or (
             decision.uniqueness_ratio > 0
             and not _is_unique(total, at, place, disparities, decision.uniqueness_ratio)

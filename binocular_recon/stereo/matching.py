@@ -99,16 +99,19 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     left, right = check_pair(left, right)
     measure = _measure_by_consensus if config.consensus else _measure
     disparity, sigma = measure(left, right, config)
-    if not config.subpixel:
-        return Match(disparity, np.isfinite(disparity).astype(np.float32))
     confidence = np.empty_like(disparity)
+    low, high = config.limits_px
 
     def finish(start: int, stop: int) -> None:
-        rows = disparity[start:stop]
-        rows /= np.float32(SUBPIXEL_STEP_PX)
-        np.rint(rows, out=rows)
-        rows *= np.float32(SUBPIXEL_STEP_PX)
-        confidence[start:stop] = confidence_from_sigma(sigma[start:stop])
+        rows, levels = disparity[start:stop], confidence[start:stop]
+        if config.subpixel:
+            rows /= np.float32(SUBPIXEL_STEP_PX)
+            np.rint(rows, out=rows)
+            rows *= np.float32(SUBPIXEL_STEP_PX)
+        levels[:] = confidence_from_sigma(sigma[start:stop]) if config.subpixel else 1
+        # planes and half resolution may leave the range
+        outside = ~((rows >= low) & (rows <= high))
+        rows[outside], levels[outside] = np.nan, 0
 
     over_strips(finish, len(disparity))
     return Match(disparity, confidence)
