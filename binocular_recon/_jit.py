@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -43,7 +44,22 @@ def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F
         boundscheck=False,
         forceinline=forceinline,
     )
-    return cast('F', decorate(function))
+    compiled: Any = decorate(function)
+    # Numba looks for changes in the function's own file only, but kernels of its neighbours are
+    # compiled into it. (Where JIT is disabled nothing is cached.)
+    cached = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
+    if cached is not None:
+        folder = Path(function.__code__.co_filename).parent
+        cached._source_stamp = (cached._source_stamp, kernels_stamp(folder))  # noqa: SLF001
+    return cast('F', compiled)
+
+
+@cache
+def kernels_stamp(folder: Path) -> tuple[tuple[float, int], ...]:
+    """Return the times and sizes of all files whose kernels may call each other."""
+    shared = Path(__file__).with_name('_simd.py')
+    files = [file.stat() for file in (shared, *sorted(folder.glob('_*_kernels.py')))]
+    return tuple((file.st_mtime, file.st_size) for file in files)
 
 
 def thread_count() -> int:
@@ -56,6 +72,10 @@ def thread_count() -> int:
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix='kernel')
+
+
+if hasattr(os, 'register_at_fork'):  # a forked process has none of the threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def over_strips(function: Callable[..., None], length: int, *args: Any, strip: int = 64) -> None:

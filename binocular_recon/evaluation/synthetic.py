@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ByteImage pairs made from nothing, with known disparity: what timings and tests run on."""
+"""Picture pairs made from nothing, with known disparity: what timings and tests run on."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ TILE = 32  # columns whose scores stay in the first-level cache
 
 
 class Pair(NamedTuple):
-    """Both pictures as the kernels need them; `prepare` in matching.py makes it.
+    """Both pictures as the kernels need them; `lay_out` makes it.
 
     ``left`` (H + 1, W) and ``right`` (H + 1, W + D - 1) hold centred integers as float32 or
     float64, 0 where there is no data; their last row is 0 and stands for "no row".

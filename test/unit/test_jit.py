@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels: what is compiled is up to date, and the threads that run them survive a fork."""
+
+from __future__ import annotations
+
+import importlib.util
+import multiprocessing
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from binocular_recon import _jit
+
+INNER = """
+from binocular_recon._jit import kernel
+@kernel
+def inner(): return {}
+"""
+OUTER = """
+from binocular_recon._jit import kernel
+from _inner_kernels import inner
+@kernel
+def outer(): return inner()
+"""
+
+
+def load(path: Path) -> ModuleType:
+    """Import a file anew."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_kernel_is_compiled_again_if_one_that_it_calls_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner, outer = tmp_path / '_inner_kernels.py', tmp_path / '_outer_kernels.py'
+    outer.write_text(OUTER)
+    for name in (inner.stem, outer.stem):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    found, hits = [], []
+    for value in (1, 22, 22):
+        inner.write_text(INNER.format(value))
+        os.utime(inner, (value, value))
+        _jit.kernels_stamp.cache_clear()
+        load(inner)
+        kernel = load(outer).outer
+        found.append(kernel())
+        hits.append(sum(kernel.stats.cache_hits.values()))
+    assert found == [1, 22, 22]
+    assert hits == [0, 0, 1]
+
+
+def double(values: np.ndarray, start: int, stop: int) -> None:
+    """Double a part of an array."""
+    values[start:stop] *= 2
+
+
+def run(answers: multiprocessing.SimpleQueue[float]) -> None:
+    """Use the pool of threads and tell the sum."""
+    values = np.ones(8)
+    _jit.over_strips(double, 8, values, strip=2)
+    answers.put(float(values.sum()))
+
+
+@pytest.mark.skipif(not hasattr(os, 'fork'), reason='this system has no fork')
+def test_a_forked_process_has_its_own_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_jit, 'thread_count', lambda: 2)
+    fork = multiprocessing.get_context('fork')
+    answers = fork.SimpleQueue()
+    run(answers)
+    process = fork.Process(target=run, args=(answers,))
+    process.start()
+    process.join(10)
+    alive = process.is_alive()
+    process.kill()
+    assert not alive
+    assert [answers.get(), answers.get()] == [16, 16]
