@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon.errors import FileError
 from binocular_recon.images import Image
@@ -36,13 +37,19 @@ def read_image_file(path: Path) -> Image:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror}') from error
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:
-        image = None
+    image = decoded_image(data)
     if image is None:
         raise FileError(f'{path} is no picture ({data.size} bytes); give a PNG, JPEG or TIFF file')
-    return np.asarray(image)
+    return image
+
+
+def decoded_image(data: npt.NDArray[np.uint8]) -> Image | None:
+    """Return the picture that the bytes of a file hold, or None if they hold none."""
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error:  # the file asks for more pixels than OpenCV takes
+        return None
+    return None if image is None else np.asarray(image)
 
 
 def write_image_file(path: Path, image: Image) -> None:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.io.image_files import decoded_image
 
 
 class Picture(NamedTuple):
@@ -279,12 +280,12 @@ def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
             f'{name} is not a whole file: {data.size} bytes of {message.format!r} without the end'
             " mark; raise the link's reliability"
         )
-    image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    image = decoded_image(data)
     if image is None:
         raise ImageError(
             f'{name} cannot be decoded: {data.size} bytes of {message.format!r}; send JPEG or PNG'
         )
-    if 'compressed rgb' in codec:  # the file was written with red and blue swapped
+    if 'compressed rgb' in codec and image.ndim == 3:  # written with red and blue swapped
         image = cv2.cvtColor(
             image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         )
@@ -309,7 +310,11 @@ def _is_whole(data: bytes) -> bool:
     position = 2
     # step over the segments (a thumbnail in one of them has an end of its own) to the first scan
     while (
-        data[position : position + 1] == b'\xff' and data[position + 1 : position + 2] != b'\xda'
+        data[position : position + 1] == b'\xff'
+        and (marker := data[position + 1 : position + 2]) != b'\xda'
     ):
-        position += 2 + int.from_bytes(data[position + 2 : position + 4], 'big')
+        if marker == b'\xff':  # any number of these may fill the place before a marker
+            position += 1
+        else:
+            position += 2 + int.from_bytes(data[position + 2 : position + 4], 'big')
     return data.find(b'\xff\xd9', position) > 0

@@ -172,7 +172,10 @@ def test_a_damaged_bag_gives_what_precedes_the_damage(
     assert len(summary['damage']) >= 1
 
 
-def test_a_cut_picture_costs_one_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize('kept_bytes', [0, 2000])
+def test_a_cut_picture_costs_one_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kept_bytes: int
+) -> None:
     records = []
     for index in range(3):
         stamp = START_NS + index
@@ -182,7 +185,7 @@ def test_a_cut_picture_costs_one_frame(tmp_path: Path, capsys: pytest.CaptureFix
             info, image = info_message(camera, stamp), compressed_message(picture, stamp)
             records.append((f'/{side}/camera_info', info, stamp))
             records.append((f'/{side}/image_raw/compressed', image, stamp))
-    records[5][1].data = records[5][1].data[:2000]
+    records[5][1].data = records[5][1].data[:kept_bytes]
     bag = write_bag(tmp_path / 'bag', records)
     assert reconstruct(bag, tmp_path / 'out') == 1
     assert frames_of(tmp_path / 'out') == 2

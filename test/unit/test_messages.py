@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import array
+import zlib
 from types import SimpleNamespace
 from typing import Any
 
@@ -207,10 +208,33 @@ def test_compressed_grey_deep_and_mosaic() -> None:
 @pytest.mark.parametrize('extension', ['.jpg', '.png'])
 def test_truncated_file_is_refused_wherever_it_ends(extension: str) -> None:
     file = encoded(extension, scene())
-    for length in range(8, len(file) - 1, 7):
+    for length in [*range(8), *range(8, len(file) - 1, 7)]:
         with pytest.raises(ImageError, match=r'not a whole file|cannot be decoded'):
             read_image(compressed(file[:length], 'bgr8; jpeg compressed bgr8'))
     read_image(compressed(file + bytes(5), 'bgr8; jpeg compressed bgr8'))  # padded by a camera
+
+
+def test_file_that_asks_for_too_many_pixels_is_refused() -> None:
+    file = bytearray(encoded('.png', scene()))
+    file[16:24] = (2**30).to_bytes(4, 'big') * 2  # width and height
+    file[29:33] = zlib.crc32(file[12:29]).to_bytes(4, 'big')
+    with pytest.raises(ImageError, match='cannot be decoded'):
+        read_image(compressed(file, 'bgr8; png compressed bgr8'))
+
+
+def test_swapped_colours_of_a_grey_file_are_none() -> None:
+    grey = scene()[..., 0]
+    image, encoding = read_image(compressed(encoded('.png', grey), 'rgb8; png compressed rgb8'))
+    np.testing.assert_array_equal(image, grey)
+    assert encoding == 'mono8'
+
+
+def test_bytes_may_fill_the_place_before_a_marker_of_a_jpeg() -> None:
+    file = encoded('.jpg', scene())
+    filled = file[:2] + b'\xff\xff' + file[2:]
+    np.testing.assert_array_equal(
+        read_image(compressed(filled, 'jpeg')).image, read_image(compressed(file, 'jpeg')).image
+    )
 
 
 def test_end_of_a_thumbnail_is_not_the_end() -> None:
