@@ -105,14 +105,16 @@ class MatchConfig(Options):
     semi_global: bool = option(
         True, 'Aggregate the scores along rows and down columns; off: each pixel by itself'
     )
-    P1: int = option(
+    # the P1 and P2 of Hirschmueller, but in other units than OpenCV's and stereo_image_proc's
+    small_step_penalty: int = option(
         30,
         'Semi-global: penalty of a step of one disparity between neighbours; 63 is the cost of'
         ' score 0',
         minimum=0,
         maximum=192,
+        step=2,
     )
-    P2: int = option(
+    large_step_penalty: int = option(
         190,
         'Semi-global: penalty of a larger step where neighbours are equally bright',
         minimum=0,
@@ -135,8 +137,8 @@ class MatchConfig(Options):
     )
     uniqueness_ratio: float = option(
         0.0,
-        "Percent by which the best score's 1 - NCC must beat the second best that is not its"
-        ' neighbour',
+        "Percent by which the best score's 1 - NCC (semi-global: its sum over paths) must beat"
+        ' the second best that is not its neighbour',
         unit='%',
         minimum=0.0,
         maximum=100.0,
@@ -163,8 +165,11 @@ class MatchConfig(Options):
     def __post_init__(self) -> None:
         """Check that a larger step costs at least as much as a small one."""
         super().__post_init__()
-        if self.P1 > self.P2:
-            raise ConfigError(f'P1 must be at most P2, got {self.P1} and {self.P2}')
+        small, large = self.small_step_penalty, self.large_step_penalty
+        if small > large:
+            raise ConfigError(
+                f'small_step_penalty must be at most large_step_penalty, got {small} and {large}'
+            )
 
     @property
     def limits_px(self) -> tuple[float, float]:

@@ -75,6 +75,6 @@ def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> Co
 
 def _penalties(config: MatchConfig) -> Penalties:
     # paths count in eighths of a cost, options in quarters
-    P1, P2 = config.P1 // 2, config.P2 / 2
+    P1, P2 = config.small_step_penalty // 2, config.large_step_penalty / 2
     step = np.maximum(np.arange(256) / GENTLE_STEP, 1)
     return Penalties(P1, np.maximum(P2 / step, P2 * LEAST_P2).astype(np.uint8))

@@ -40,7 +40,10 @@ def test_every_option_is_described_and_named_once() -> None:
         ({'correlation_window_size': 33}, r'must be within 3..31 px, got 33'),
         ({'wls_lambda': float('nan')}, r'wls_lambda must be within .* got nan'),
         ({'wls_guide': 'right'}, "wls_guide must be one of left, disparity, got 'right'"),
-        ({'P1': 100, 'P2': 60}, 'P1 must be at most P2, got 100 and 60'),
+        (
+            {'small_step_penalty': 100, 'large_step_penalty': 60},
+            'penalty must be at most large_step_penalty, got 100 and 60',
+        ),
         ({'min_disparity': 1.5}, 'min_disparity must be of type int, got 1.5'),
         ({'disparity_range': True}, 'disparity_range must be of type int, got True'),
     ],

@@ -39,10 +39,10 @@ def slanted_pair() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8], FloatI
     ('size', 'expected'), [(5, [3, 5, 7]), (3, [3, 5]), (31, [29, 31]), (9, [7, 9, 11])]
 )
 def test_neighbouring_windows_vote(size: int, expected: list[int]) -> None:
-    config = MatchConfig(correlation_window_size=size, P1=20, consensus=True)
+    config = MatchConfig(correlation_window_size=size, small_step_penalty=20, consensus=True)
     voters = members(config)
     assert [voter.correlation_window_size for voter in voters] == expected
-    assert all(voter.P1 == 20 and not voter.consensus for voter in voters)
+    assert all(voter.small_step_penalty == 20 and not voter.consensus for voter in voters)
 
 
 def test_votes_equal_the_naive_twin() -> None:
