@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
@@ -38,7 +39,7 @@ class Timing:
     seconds : float
         Median.
     relative : float
-        Divided by the stage's reference, its first contestant.
+        Divided by that of the stage's reference, its first contestant; NaN if that is missing.
 
     """
 
@@ -129,7 +130,8 @@ def time_stage(
 ) -> list[Timing]:
     """Time the contestants of one stage by turns."""
     seconds = interleaved(contestants, repeat, limit_s=_STAGE_LIMIT_S)
-    reference = next(iter(seconds.values()))
+    first = next(iter(seconds))
+    reference = math.nan if first in bench.presets else seconds[first]
     return [
         Timing(stage, str(bench.size), name, value, value / reference)
         for name, value in seconds.items()

@@ -139,6 +139,8 @@ def wls_filter(matcher: Any, wls_lambda: float = WLS_LAMBDA) -> Any:
 
 def to_bytes(image: Image) -> Image:
     """Return an image as OpenCV's matchers need it: (H, W) grey, uint8."""
+    if image.dtype == np.uint8:  # without the detour of `to_grey`: its time would be the peer's
+        return cv2.cvtColor(to_bgr8(image), cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     grey = np.nan_to_num(to_grey(image))
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,17 @@ def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.Monke
         Timing('match', '128x96x16', 'peer', 0.2, 1.0),
         Timing('match', '128x96x16', 'ours', 0.1, 0.5),
     ]
+
+
+def test_without_the_peer_nothing_is_relative(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    medians = {'default': 0.2, 'default, warm': 0.1}
+    monkeypatch.setattr(
+        'binocular_recon.evaluation.benchmark.interleaved', lambda *_args, **_options: medians
+    )
+    timings = time_stage('exact WLS', bench, {}, 1)
+    assert all(math.isnan(timing.relative) for timing in timings)
 
 
 def test_growth_is_per_pixel_and_disparity() -> None:
