@@ -24,6 +24,7 @@ CONTRAST = 50.0
 _FINE_STEPS = 257  # per grey level: the steps of a 16-bit picture
 _EXACT = 2.0**24  # float32 holds every integer up to here
 _STEPS_OF_TEXTURE = 1  # per standard deviation of the least texture: rounding is a third of it
+_STEPS_OF_PICTURE = 24  # per standard deviation of the picture: a dark one's texture is fine
 
 
 def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatImage]:
@@ -110,6 +111,7 @@ def _resolution(left: FloatImage, right: FloatImage, config: MatchConfig) -> tup
     steps = 1
     while (config.correlation_window_size * 128 * 2 * steps) ** 2 <= _EXACT:
         steps *= 2
-    if config.texture_threshold * steps >= _STEPS_OF_TEXTURE:
+    coarse = CONTRAST / exposure_gain(left) * steps < _STEPS_OF_PICTURE
+    if config.texture_threshold * steps >= _STEPS_OF_TEXTURE and not coarse:
         return steps, np.float32
     return _FINE_STEPS, np.float64

@@ -298,16 +298,22 @@ def test_crops_do_not_change_the_local_match() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    # grey levels of texture
+    ('threshold', 'contrast', 'limit_px'),
+    [(0.0, 0.1, 0.1), (0.5, 1.0, 0.025)],
+)
 @pytest.mark.parametrize('preset', ['fast', 'default'])
-def test_16_bits_are_kept(preset: str) -> None:
-    left, right = shifted_pair(60, 100, 6.0)
+def test_16_bits_are_kept(preset: str, threshold: float, contrast: float, limit_px: float) -> None:
+    left, right = shifted_pair(60, 100, 6.3)
     options = ChainConfig.preset(
-        preset, disparity_range=16, correlation_window_size=5, texture_threshold=0.0
+        preset, disparity_range=16, correlation_window_size=9, texture_threshold=threshold
     ).match
-    scale = np.float32(1 / 400)  # a tenth of a grey level of texture
-    found = match(left * scale + 100, right * scale + 100, options).disparity_px
-    inside = found[10:-10, 30:-10]
-    assert np.mean(np.abs(inside - 6) < 0.25) > 0.95
+    scale = np.float32(contrast / left.std())
+    left, right = (np.rint((level * scale + 100) * 257) / 257 for level in (left, right))
+    error = match(left, right, options).disparity_px[10:-10, 30:-10] - 6.3
+    assert np.sqrt(np.nanmean(error**2)) < limit_px
+    assert np.isfinite(error).mean() > 0.95
 
 
 def test_step_is_one_pixel_without_subpixel() -> None:
