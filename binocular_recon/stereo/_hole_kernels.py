@@ -80,7 +80,8 @@ def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, sto
     width = disparity.shape[1]
     for y in range(start, stop):
         x = 0
-        before = np.float32(0)  # columns left of the picture's disparity are out of sight
+        # columns left of a picture's disparity, or right of a negative one, are out of sight
+        before = np.float32(0)
         while x < width:
             marks[y, x] = False
             if not np.isnan(disparity[y, x]):
@@ -88,8 +89,8 @@ def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, sto
                 x += 1
                 continue
             end = _end_of_hole(disparity[y], x)
-            hidden = disparity[y, end] - before if end < width else np.float32(0)
-            marks[y, x:end] = end - x > hidden + slack
+            after = disparity[y, end] if end < width else max(before, np.float32(0))
+            marks[y, x:end] = end - x > after - before + slack
             x = end
 
 

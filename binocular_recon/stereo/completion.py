@@ -87,12 +87,15 @@ def fill_from_background(disparity_px: FloatImage) -> FloatImage:
     """
     filled = np.empty_like(disparity_px)
     over_strips(lambda start, stop: fill_strip(disparity_px, filled, start, stop), len(filled))
-    empty = np.isnan(filled[:, 0])
-    if empty.any() and not empty.all():
-        rows = np.flatnonzero(~empty)
-        nearest = np.abs(np.flatnonzero(empty)[:, None] - rows).argmin(axis=1)
-        filled[empty] = filled[rows[nearest]]
+    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
     return filled
+
+
+def copy_nearest_rows(image: FloatImage, *, empty: Mask) -> None:
+    """Replace empty rows, in place, by the nearest of the others."""
+    rows, gaps = np.flatnonzero(~empty), np.flatnonzero(empty)
+    if gaps.size and rows.size:
+        image[gaps] = image[rows[np.abs(gaps[:, None] - rows).argmin(axis=1)]]
 
 
 def unexplained_holes(disparity_px: FloatImage) -> Mask:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
@@ -19,7 +18,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.stereo import _filter_kernels as kernels
 from binocular_recon.stereo._hole_kernels import fill_from_nearest, spread_of_gaps
 from binocular_recon.stereo._wls_solver import System
-from binocular_recon.stereo.completion import COMPLETED_CONFIDENCE, complete
+from binocular_recon.stereo.completion import COMPLETED_CONFIDENCE, complete, copy_nearest_rows
 from binocular_recon.stereo.matching import SIGMA_UNIT_PX
 
 # Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
@@ -221,8 +220,8 @@ def _measured(
     if not valid.any():
         raise ImageError(
             f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
-            ' check that the pictures overlap, are rectified and have texture, and the disparity'
-            ' range'
+            ' check that the pictures overlap, are rectified, have texture and are larger than the'
+            ' correlation window, and the disparity range'
         )
     return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
 
@@ -244,7 +243,7 @@ def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -
     sigma = np.empty_like(measured)
     over_strips(spread_of_gaps, len(measured), measured, sigma)
     hole = np.isnan(measured)
-    _copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
+    copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
     evidence = kernels.Evidence(
         measured,
         filtered,
@@ -259,13 +258,6 @@ def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -
     )
     over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
     return sigma
-
-
-def _copy_nearest_rows(image: FloatImage, *, empty: npt.NDArray[np.bool_]) -> None:
-    """Replace empty rows by the nearest of the others."""
-    rows, gaps = np.flatnonzero(~empty), np.flatnonzero(empty)
-    if gaps.size and rows.size:
-        image[gaps] = image[rows[np.abs(gaps[:, None] - rows).argmin(axis=1)]]
 
 
 def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
@@ -283,7 +275,7 @@ def _nearest_in_row(measured: FloatImage) -> FloatImage:
     """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
     filled = np.empty_like(measured)
     over_strips(fill_from_nearest, len(measured), measured, filled)
-    _copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
+    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
     return filled
 
 

@@ -16,11 +16,21 @@ from binocular_recon.stereo.completion import (
     COMPLETED_CONFIDENCE,
     complete,
     fill_from_background,
+    unexplained_holes,
 )
 from binocular_recon.stereo.refinement import SAME_SURFACE_PX, _inside, smooth
 
 pytestmark = pytest.mark.kernel
 NAN = np.nan
+
+
+def test_columns_that_the_right_camera_does_not_see_are_explained() -> None:
+    for side in (1, -1):  # a negative disparity hides columns on the right
+        disparity = np.full((1, 90), 20 * side, np.float32)
+        disparity[0, :25] = NAN
+        assert not unexplained_holes(disparity[:, ::side]).any()
+        disparity[0, :30] = NAN
+        assert unexplained_holes(disparity[:, ::side]).sum() == 30
 
 
 def test_holes_take_the_smaller_end() -> None:

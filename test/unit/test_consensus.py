@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from binocular_recon import _jit
 from binocular_recon.config import ChainConfig, MatchConfig
 from binocular_recon.evaluation.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
@@ -108,12 +109,14 @@ def test_whole_pixels_stay_whole() -> None:
 @pytest.mark.kernel
 def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     left, right, _ = slanted_pair()
+    monkeypatch.setattr(_jit, 'thread_count', lambda: 3)
     many = estimate_disparity(left, right, SLANTED)
-    monkeypatch.setenv('OMP_NUM_THREADS', '1')
+    monkeypatch.setattr(_jit, 'thread_count', lambda: 1)
     one = estimate_disparity(left, right, SLANTED)
     np.testing.assert_array_equal(many[0].disparity_px, one[0].disparity_px)
     np.testing.assert_array_equal(many[0].confidence, one[0].confidence)
     np.testing.assert_array_equal(many[1].disparity_px, one[1].disparity_px)
+    np.testing.assert_array_equal(many[1].sigma_px, one[1].sigma_px)
 
 
 @pytest.mark.large
