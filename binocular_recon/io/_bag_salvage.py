@@ -83,9 +83,12 @@ def scan(path: Path) -> Iterator[Scanned]:
     else:
         messages = _scan_mcap(path) if kind == 'mcap' else _scan_ros1(path)
     for message in messages:
-        if kind != 'ros1' and message.data.startswith(_ZSTD):
-            message = message._replace(data=DECOMPRESSORS['zstd'](message.data, 0))
-        yield message
+        yield message if kind == 'ros1' else message._replace(data=unpacked(message.data))
+
+
+def unpacked(cdr: bytes) -> bytes:
+    """Return a ROS 2 message without the compression of its recorder, if it has one."""
+    return DECOMPRESSORS['zstd'](cdr, 0) if cdr.startswith(_ZSTD) else cdr
 
 
 def _scan_sqlite(path: Path) -> Iterator[Scanned]:

@@ -3,18 +3,28 @@
 
 from __future__ import annotations
 
+import re
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from binocular_recon.errors import BagError, FileError
 from binocular_recon.io.bag_writer import BagWriter, new_message
 from binocular_recon.io.bags import Bag, TopicQos, decode
-from test.bag_tools import FORMATS, START_NS, image_message, pictures, stereo_records, write_bag
+from test.bag_tools import (
+    FORMATS,
+    START_NS,
+    Record,
+    image_message,
+    pictures,
+    stereo_records,
+    write_bag,
+)
 
 
 def data_file(path: Path) -> Path:
@@ -90,6 +100,23 @@ def test_ros1_latched_topics_are_transient_local(tmp_path: Path) -> None:
         assert decode('std_msgs/msg/Bool', message.cdr).data
 
 
+def test_publishers_of_a_topic_offer_together_what_one_of_them_offered(tmp_path: Path) -> None:
+    types = get_typestore(Stores.ROS1_NOETIC)
+    with Ros1Writer(tmp_path / 'a.bag') as writer:
+        for latching in (1, 0):
+            connection = writer.add_connection(
+                '/a',
+                'std_msgs/msg/Bool',
+                typestore=types,
+                latching=latching,
+                callerid=str(latching),
+            )
+            writer.write(connection, 5, b'\1')
+    with Bag(tmp_path / 'a.bag') as bag:
+        (topic,) = bag.topics
+    assert topic.qos.transient_local and topic.message_count == 2
+
+
 def test_ros1_types_that_changed_are_converted_member_by_member(tmp_path: Path) -> None:
     types = get_typestore(Stores.ROS1_NOETIC)
     battery = types.types['sensor_msgs/msg/Joy']
@@ -162,25 +189,76 @@ def test_what_precedes_a_cut_is_kept_and_the_cut_is_said(
     assert {(m.topic.name, m.stamp_ns, m.cdr) for m in kept} <= set(key)
 
 
-def test_a_bad_chunk_ends_the_messages_and_is_said(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / 'bag', stereo_records(80), 'mcap, chunks compressed')
-    file = data_file(path)
+def damage_the_middle(file: Path) -> None:
     content = bytearray(file.read_bytes())
     middle = len(content) // 2
     content[middle : middle + 2000] = bytes(2000)
     file.write_bytes(content)
+
+
+def test_a_bad_chunk_ends_the_messages_and_is_said(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / 'bag', stereo_records(80), 'mcap, chunks compressed')
+    damage_the_middle(data_file(path))
     with Bag(path) as bag:
         assert 50 < len(list(bag.messages())) < 250
         assert len(bag.damage) == 1
 
 
+def write_split_bag(path: Path, records: list[Record], fmt: str = 'mcap') -> Path:
+    """Write three files with the same number of messages, without metadata.yaml."""
+    path.mkdir()
+    count = len(records) // 3
+    for index in range(3):
+        part = path.with_name(f'part_{index}')
+        file = data_file(write_bag(part, records[count * index : count * (index + 1)], fmt))
+        file.rename(path / f'bag_{index}{file.suffix}')
+    return path
+
+
+def write_metadata(path: Path, files: list[str]) -> None:
+    """Write metadata.yaml as the recorder of the first part did, for these files."""
+    content = yaml.safe_load((path.with_name('part_0') / 'metadata.yaml').read_text())
+    content['rosbag2_bagfile_information']['relative_file_paths'] = files
+    (path / 'metadata.yaml').write_text(yaml.safe_dump(content))
+
+
+def test_a_bad_chunk_in_a_split_recording_costs_only_the_end_of_its_file(tmp_path: Path) -> None:
+    records = stereo_records(120)
+    path = write_split_bag(tmp_path / 'bag', records, 'mcap, chunks compressed')
+    write_metadata(path, [f'bag/bag_{index}.mcap' for index in range(3)])
+    damage_the_middle(path / 'bag_0.mcap')
+    with Bag(path) as bag:
+        stamps = [message.stamp_ns for message in bag.messages()]
+        (damage,) = bag.damage
+    assert f'{path}/bag_0.mcap is damaged (' in damage
+    assert stamps[-320:] == sorted(record[2] for record in records[160:])
+    assert 320 <= len(stamps) < 480
+
+
+@pytest.mark.parametrize('fmt', ['mcap, messages compressed', 'sqlite3, messages compressed'])
+def test_metadata_says_which_files_belong_to_the_bag(tmp_path: Path, fmt: str) -> None:
+    records = stereo_records(3)
+    path = write_split_bag(tmp_path / 'bag', records, fmt)
+    files = sorted(file.name for file in path.iterdir())
+    write_metadata(path, files[:2])
+    with Bag(path) as bag:
+        assert len(list(bag.messages())) == 8
+        assert bag.damage == []
+    for listed, complaint in (
+        ([*files, 'gone.db3'], r'^gone\.db3 of .*metadata\.yaml is missing; all files there'),
+        ('3', r'^3 of .*metadata\.yaml is missing'),
+        (3, r"metadata\.yaml is damaged \('int' object is not iterable\); all files beside it"),
+    ):
+        write_metadata(path, listed)  # type: ignore[arg-type]
+        with Bag(path) as bag:
+            assert len(list(bag.messages())) == 12
+            (said,) = bag.damage
+            assert re.search(complaint, said)
+
+
 def test_one_damaged_file_of_a_split_recording_costs_only_its_own_end(tmp_path: Path) -> None:
     records = stereo_records(120)
-    path = tmp_path / 'bag'
-    path.mkdir()
-    for index in range(3):
-        part = write_bag(tmp_path / f'part_{index}', records[160 * index : 160 * (index + 1)])
-        data_file(part).rename(path / f'bag_{index}.mcap')
+    path = write_split_bag(tmp_path / 'bag', records)
     middle = path / 'bag_1.mcap'
     middle.write_bytes(middle.read_bytes()[:1_300_000])
     (path / 'bag_3.mcap').write_bytes(b'')  # the recorder was killed as it began a new file
