@@ -80,6 +80,17 @@ def positive(kind: type[int | float]) -> Callable[[str], float]:
     return convert
 
 
+def non_negative(text: str) -> int:
+    """Convert an argument that is a whole number and not below 0, such as a seed."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f'must not be negative, got {text}')
+    return value
+
+
+non_negative.__name__ = 'whole number'
+
+
 def _options() -> list[dataclasses.Field[Any]]:
     groups: list[Any] = [group.default_factory for group in dataclasses.fields(ChainConfig)]
     return [spec for group in groups for spec in dataclasses.fields(group)]

@@ -4,18 +4,23 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from binocular_recon.cli.options import positive
+from binocular_recon.cli.options import non_negative, positive
 from binocular_recon.cli.progress import ProgressBar
+from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.paper import (
     BOARDS,
     MARK_NOISE_PX,
     PICKS,
+    FailedRun,
     PaperRun,
+    Survey,
     run_paper,
 )
 from binocular_recon.evaluation.paper_pictures import draw_crop, draw_sizes
@@ -40,45 +45,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='simulated sites (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
-        '--first-seed', type=int, default=0, metavar='N', help='other seeds, other sites (0)'
+        '--first-seed',
+        type=non_negative,
+        default=0,
+        metavar='N',
+        help='other seeds, other sites (0)',
     )
     parser.add_argument(
         '--boards', type=positive(int), default=BOARDS, metavar='N',
         help='boards of rods to calibrate with (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
-        '--rendered', type=int, default=1, metavar='N',
+        '--rendered', type=non_negative, default=1, metavar='N',
         help='sites whose rods are rendered in pictures and detected (%(default)s); for the others'
         f' marks are simulated with {MARK_NOISE_PX:g} px noise',
     )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run all sites, print the tables, write ``paper.json``, ``tables.md`` and two pictures."""
+    """Run all sites, print the tables, write ``paper.json``, ``tables.md`` and two pictures.
+
+    The files hold all finished sites after each one: an interruption loses the one under way.
+    """
     make_folder(args.output)
     start = time.monotonic()
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
     runs: list[PaperRun] = []
+    failed: list[FailedRun] = []
     with ProgressBar(len(seeds) * len(PLACEMENTS_M), 'reconstructions') as bar:
         steps = run_paper(rig, seeds, PLACEMENTS_M, boards=args.boards, rendered=args.rendered)
-        for done, survey in steps:
-            if not runs:
-                write_image_file(args.output / 'sizes.jpg', draw_sizes(survey, done))
-                write_image_file(args.output / 'crop.jpg', draw_crop(survey))
-            runs.append(done)
-            bar.show(len(runs))
-    text = report(runs)
-    with complete_file(args.output / 'tables.md') as file:
-        file.write(f'{text}\n'.encode())
-    write_json(args.output / 'paper.json', facts(runs))
-    print(text)
+        try:
+            for step in steps:
+                if isinstance(step, FailedRun):
+                    failed.append(step)
+                else:
+                    _keep(args.output, *step, runs, failed)
+                bar.show(len(runs) + len(failed))
+        except KeyboardInterrupt:
+            kept = f'{len(runs)} finished reconstructions are kept in {args.output}'
+            raise KeyboardInterrupt(kept) from None
+    if not runs:
+        raise CalibrationError(f'no site could be measured; {_failures(failed)}')
+    print(_text(runs, failed))
     print(f'\n{args.output}/paper.json, tables.md, sizes.jpg, crop.jpg'
           f' ({time.monotonic() - start:.0f} s)')  # fmt: skip
 
 
-def facts(runs: list[PaperRun]) -> dict[str, Any]:
-    """Return what ``paper.json`` holds."""
+def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[str, Any]:
+    """Return what ``paper.json`` holds; null = a mark that was not found."""
     placements = sorted({run.placement_m for run in runs})
     means = {
         f'{placement:g}': {
@@ -87,9 +102,46 @@ def facts(runs: list[PaperRun]) -> dict[str, Any]:
         }
         for placement in placements
     }
-    return {
-        'machine': machine_facts(),
-        'mean_of_three_mm': means,
-        'picks': PICKS,
-        'runs': [asdict(run) for run in runs],
-    }
+    content: dict[str, Any] = _without_nan(
+        {
+            'machine': machine_facts(),
+            'mean_of_three_mm': means,
+            'picks': PICKS,
+            'runs': [asdict(run) for run in runs],
+            'failed': [asdict(run) for run in failed],
+        }
+    )
+    return content
+
+
+def _keep(
+    folder: Path, run: PaperRun, survey: Survey, runs: list[PaperRun], failed: list[FailedRun]
+) -> None:
+    """Add a run to the others and write what they yield."""
+    if not runs:
+        write_image_file(folder / 'sizes.jpg', draw_sizes(survey, run))
+        write_image_file(folder / 'crop.jpg', draw_crop(survey))
+    runs.append(run)
+    with complete_file(folder / 'tables.md') as file:
+        file.write(f'{_text(runs, failed)}\n'.encode())
+    write_json(folder / 'paper.json', facts(runs, failed))
+
+
+def _text(runs: Sequence[PaperRun], failed: Sequence[FailedRun]) -> str:
+    return f'{report(runs)}\n\n{_failures(failed)}' if failed else report(runs)
+
+
+def _failures(failed: Sequence[FailedRun]) -> str:
+    words = (
+        f'seed {run.seed}, rods {1e3 * run.placement_m:g} mm off: {run.reason}' for run in failed
+    )
+    return f'Not measured: {"; ".join(words)}.'
+
+
+def _without_nan(value: Any) -> Any:
+    """Return the same with None in place of NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(one) for one in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

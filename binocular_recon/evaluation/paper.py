@@ -24,6 +24,7 @@ from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.stereo_calibration import undistort
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.config import ChainConfig
+from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation.calibration_check import simulated_boards, simulated_captures
 from binocular_recon.evaluation.ruler import Ruler, VerticalPlane
 from binocular_recon.images import ByteImage
@@ -82,7 +83,7 @@ class PaperRun:
         Table 2: mean reprojection error of each board, all methods.
     rows : list of list of float
         Table 1: of six marks of one rod the row in the left and right picture as taken, after
-        polar-line correction, and rectified with the adjusted calibration, px.
+        polar-line correction, and rectified with the adjusted calibration, px; NaN = not found.
     rows_px : dict of str to float
         Mean row difference of all marks on the held-out board: uncorrected, corrected, adjusted.
     errors_mm : dict of str to list of float
@@ -104,6 +105,15 @@ class PaperRun:
     on_ground_mm: dict[str, list[float]]
     automatic_mm: dict[str, list[float]]
     floor_mm: dict[str, list[float]]
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A site that yielded nothing with rods placed like this, and why."""
+
+    seed: int
+    placement_m: float
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +205,21 @@ def run_paper(
     *,
     boards: int = BOARDS,
     rendered: int = 1,
-) -> Iterator[tuple[PaperRun, Survey]]:
+) -> Iterator[tuple[PaperRun, Survey] | FailedRun]:
     """Run every seed at every placement; the first ``rendered`` seeds with rendered rods."""
     for index, seed in enumerate(seeds):
         site = simulate_site(seed, rig)
         for placement in placements_m:
-            yield run_site(site, placement, boards=boards, rendered=index < rendered)
+            yield _attempt(site, placement, boards=boards, rendered=index < rendered)
+
+
+def _attempt(
+    site: Site, placement_m: float, *, boards: int, rendered: bool
+) -> tuple[PaperRun, Survey] | FailedRun:
+    try:
+        return run_site(site, placement_m, boards=boards, rendered=rendered)
+    except BinocularReconError as error:
+        return FailedRun(site.seed, placement_m, str(error))
 
 
 def survey_chain(rig: StereoRig) -> Chain:

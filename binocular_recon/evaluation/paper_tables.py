@@ -140,5 +140,7 @@ def _placement(placement_m: float) -> str:
 def _differences(rows: Sequence[Sequence[float]], digits: int) -> list[str]:
     """Return the mean difference of each pair of columns, under the second one."""
     table = np.asarray(rows, np.float64)
-    means = np.abs(table[:, 0::2] - table[:, 1::2]).mean(axis=0)
+    differences = np.abs(table[:, 0::2] - table[:, 1::2])
+    # marks that were not found say nothing
+    means = np.ma.masked_invalid(differences).mean(axis=0).filled(np.nan)
     return [cell for mean in means for cell in ('', figure(float(mean), digits))]

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,10 @@ import pytest
 
 from binocular_recon.cli import paper as command
 from binocular_recon.cli.main import main
-from binocular_recon.evaluation.paper import detected_captures
+from binocular_recon.errors import CalibrationError
+from binocular_recon.evaluation import paper
+from binocular_recon.evaluation.paper import FailedRun, PaperRun, detected_captures
+from binocular_recon.evaluation.paper_tables import table_1
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
@@ -92,6 +98,60 @@ def test_detected_rods_are_where_they_were_rendered() -> None:
         assert np.nanmean(error**2) < 0.12**2
 
 
+def test_a_site_that_fails_is_named_and_the_others_are_kept(
+    finished: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The second site fails, the third one lacks a mark, the fourth one is interrupted."""
+    good = PaperRun(**finished[1]['runs'][0])
+    rows = [[np.nan, *row[1:]] if index == 2 else row for index, row in enumerate(good.rows)]
+
+    def steps(*_: object, **__: object) -> Iterator[object]:
+        yield good, None
+        yield FailedRun(5, 0.005, 'no camera fits the marks')
+        yield replace(good, seed=6, rows=rows), None
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, 'run_paper', steps)
+    for draw in ('draw_sizes', 'draw_crop'):
+        monkeypatch.setattr(command, draw, lambda *_: np.zeros((9, 9, 3), np.uint8))
+    assert main(['paper', '--output', str(tmp_path)]) == 130
+    assert '2 finished reconstructions are kept' in capsys.readouterr().err
+    content = json.loads((tmp_path / 'paper.json').read_text())
+    assert [run['seed'] for run in content['runs']] == [4, 6]
+    assert content['runs'][1]['rows'][2][0] is None
+    assert content['failed'] == [
+        {'seed': 5, 'placement_m': 0.005, 'reason': 'no camera fits the marks'}
+    ]
+    tables = (tmp_path / 'tables.md').read_text()
+    assert 'Not measured: seed 5, rods 5 mm off: no camera fits the marks.' in tables
+
+    failed = FailedRun(0, 0.0, 'no room')
+    monkeypatch.setattr(command, 'run_paper', lambda *_, **__: iter([failed]))
+    assert main(['paper', '--output', str(tmp_path)]) == 1
+    assert 'no site could be measured; Not measured: seed 0' in capsys.readouterr().err
+
+
+def test_a_site_whose_calibration_fails_is_passed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise CalibrationError('too few boards')
+
+    monkeypatch.setattr(paper, 'simulate_site', lambda seed, _: SimpleNamespace(seed=seed))
+    monkeypatch.setattr(paper, 'run_site', fail)
+    steps = list(paper.run_paper(survey_rig(), [3, 4], [0.0]))
+    assert steps == [FailedRun(3, 0.0, 'too few boards'), FailedRun(4, 0.0, 'too few boards')]
+
+
+def test_marks_not_found_stay_out_of_the_means(finished: tuple[Path, dict[str, Any]]) -> None:
+    run = PaperRun(**finished[1]['runs'][0])
+    rows = [[500.0, 507.0, 1.0, 1.0, np.nan, 1.0]] * 6
+    rows[0] = [np.nan, 507.0, 1.0, 1.5, np.nan, 1.0]
+    last = table_1(replace(run, rows=rows)).splitlines()[-1]
+    assert [cell.strip() for cell in last.split('|')[-7:-1]] == ['', '7.00', '', '0.08', '', '-']
+
+
 def test_unwritable_folder_is_said_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,3 +160,6 @@ def test_unwritable_folder_is_said_at_once(
     assert 'taken cannot be made' in capsys.readouterr().err
     with pytest.raises(SystemExit, match='2'):
         main(['paper', '--seeds', '0'])
+    with pytest.raises(SystemExit, match='2'):
+        main(['paper', '--first-seed', '-1'])
+    assert 'must not be negative' in capsys.readouterr().err
