@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar='DIR',
-        help='folder for NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, summary.json',
+        help='folder for NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, summary.json; those'
+        ' of an earlier run are replaced',
     )
     parser.add_argument(
         '--every', type=positive(int), default=1, metavar='N', help='take every Nth pair only'

@@ -106,7 +106,10 @@ def reconstruct_bag(source: Input, output: Path, preset: str, config: ChainConfi
             preset, config, finished=True, unpaired=stereo.unpaired, damage=bag.damage
         )
         _complain(bag, results)
-    return results.sentence()
+    sentence = results.sentence()
+    if stereo.unpaired:
+        sentence += f'; {stereo.unpaired} of {stereo.pictures} pictures have no partner'
+    return sentence
 
 
 def _topics(bag: Bag, source: Input) -> StereoTopics:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import statistics
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,15 +19,21 @@ from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.cloud_picture import draw_cloud
 from binocular_recon.io.colormap import heat_map
-from binocular_recon.io.files import make_folder, write_json
+from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
 from binocular_recon.io.ply import write_ply
 from binocular_recon.stereo.pipeline import Reconstruction
 
+_ENDINGS = ('_disparity.pfm', '_disparity.png', '.ply', '_cloud.png')
+_FRAME = re.compile(rf'(\d{{6,}})({"|".join(map(re.escape, _ENDINGS))})')
+
 
 class ResultFolder:
     """Write each frame when it is finished and, at the end or when interrupted, the summary.
+
+    What an earlier run left in the folder is replaced frame by frame; its other frames go when
+    this run has finished.
 
     Parameters
     ----------
@@ -83,11 +89,9 @@ class ResultFolder:
     def _write_files(self, stem: str, reconstruction: Reconstruction) -> int:
         """Write all files of a frame or none; returns the number of points."""
         disparity_px, cloud = reconstruction.filtered.disparity_px, reconstruction.cloud
-        endings = ('_disparity.pfm', '_disparity.png', '.ply', '_cloud.png')
-        files = [self.folder / f'{stem}{ending}' for ending in endings]
-        pfm, png, ply, drawing = files
         bgr = to_bgr8(reconstruction.left)
-        try:
+        with complete_files(self.folder) as parts:
+            pfm, png, ply, drawing = (parts / f'{stem}{ending}' for ending in _ENDINGS)
             write_pfm(pfm, disparity_px)
             write_image_file(png, heat_map(disparity_px))
             if self._pictures:
@@ -95,22 +99,26 @@ class ResultFolder:
                 drawn = draw_cloud(cloud.points_xyz, bgr, size)
                 write_image_file(drawing, np.hstack([bgr, drawn]))
             return write_ply(ply, cloud.points_xyz, cloud.sigma_z_m, bgr)
-        except BaseException:
-            for path in files:
-                with suppress(OSError):  # what went wrong first is said
-                    path.unlink(missing_ok=True)
-            raise
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:
         """Note a pair that could not be reconstructed."""
         self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
 
-    def write_summary(self, preset: str, config: ChainConfig, **facts: Any) -> None:
-        """Write ``summary.json``; raises a FileError if it cannot be written."""
+    def write_summary(
+        self, preset: str, config: ChainConfig, *, finished: bool, **facts: Any
+    ) -> None:
+        """Write ``summary.json``, unless there is an earlier run's and this one has no frame.
+
+        Raises a FileError if it cannot be written.
+        """
+        path = self.folder / 'summary.json'
+        if not self.frames and path.exists():
+            return
         versions = {**machine_facts()['versions'], 'rosbags': version('rosbags')}
         summary = {
             'frames': self.frames,
             'left_out': self.left_out,
+            'finished': finished,
             **facts,
             'source': self._source,
             'preset': preset,
@@ -118,7 +126,19 @@ class ResultFolder:
             'calibration': _calibration(self._rig) if self._rig else None,
             'versions': versions,
         }
-        write_json(self.folder / 'summary.json', summary)
+        write_json(path, summary)
+        if finished and self.frames:
+            self._drop_earlier_frames()
+
+    def _drop_earlier_frames(self) -> None:
+        """Remove the frames of an earlier run that this one has not replaced."""
+        for path in self.folder.iterdir():
+            found = _FRAME.fullmatch(path.name)
+            if found is None:
+                continue
+            undrawn = found[2] == '_cloud.png' and not self._pictures
+            if undrawn or int(found[1]) >= len(self.frames):
+                path.unlink()
 
     def sentence(self) -> str:
         """Return what was reconstructed, for a person."""

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -63,6 +64,44 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def complete_files(folder: Path) -> Iterator[Path]:
+    """Give a folder whose files move to ``folder`` together, once all of them are complete.
+
+    An interruption or a full disk leaves none of the new files and harms no old one.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files shall be; it must exist.
+
+    Yields
+    ------
+    parts : Path
+        Hidden folder to write them to, in `folder`.
+
+    Raises
+    ------
+    FileError
+        If a folder or file cannot be written.
+
+    """
+    parts = folder / f'.{os.getpid()}.part'
+    make_folder(parts)
+    try:
+        yield parts
+        for part in sorted(parts.iterdir()):
+            part.replace(folder / part.name)
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(
+            f'{folder} cannot be filled: {_reason(error)}; {_remedy(error)}'
+        ) from error
+    finally:
+        shutil.rmtree(parts, ignore_errors=True)
 
 
 def flush(path: Path) -> None:

@@ -76,6 +76,8 @@ class StereoBag:
     ----------
     expected : int
         Number of pairs if every picture finds its partner.
+    pictures : int
+        Number of pictures read so far.
 
     """
 
@@ -94,16 +96,19 @@ class StereoBag:
         self._synchronizer = Synchronizer(
             topics.images, queue_size=_WAITING, tolerance_ns=tolerance_ns
         )
-        self._pictures = self._pairs = 0
+        self.pictures = self._pairs = 0
+        self._ended = False
         self.expected = min(topic.message_count for topic in self._images)
 
     @property
     def unpaired(self) -> int:
-        """Pictures left without a partner so far."""
-        return self._pictures - 2 * self._pairs
+        """Pictures that found no partner; of those that may still find theirs, none."""
+        if self._ended:
+            return self.pictures - 2 * self._pairs
+        return self._synchronizer.dropped.total()
 
     def __iter__(self) -> Iterator[Pair]:
-        """Yield the pairs in the order of recording; only a few pictures are held at a time.
+        """Yield the pairs in the order of recording; of each camera at most 50 pictures wait.
 
         Raises
         ------
@@ -132,10 +137,11 @@ class StereoBag:
             if topic in self._infos:
                 infos = _replaced(infos, self._infos.index(topic), message)
                 continue
-            self._pictures += 1
+            self.pictures += 1
             arrival = _Arrival(number, message, infos)
             yield from self._synchronizer.add(topic.name, stamp_ns(message.header), arrival)
         yield from self._synchronizer.finish()
+        self._ended = True
 
     def _complaint(self) -> str:
         """Say why nothing was paired."""

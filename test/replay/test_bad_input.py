@@ -12,11 +12,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from binocular_recon.cli import results
 from binocular_recon.cli.main import main
+from binocular_recon.io.ply import write_ply
 from test.bag_tools import (
     HEIGHT,
     START_NS,
@@ -205,16 +208,54 @@ def test_an_output_that_cannot_be_written(
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
 def test_a_full_disk_keeps_the_finished_frames(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag, output = write_bag(tmp_path / 'bag', stereo_records(3)), tmp_path / 'out'
-    output.mkdir()
-    # the second frame's cloud finds no space
-    (output / f'.000001.ply.{os.getpid()}.part').symlink_to('/dev/full')
+    assert reconstruct(bag, output) == 0
+    old = (output / '000001.ply').read_bytes(), (output / '000002.ply').read_bytes()
+
+    def find_no_space(path: Path, *arguments: Any) -> int:
+        if path.name == '000001.ply':
+            path.with_name(f'.{path.name}.{os.getpid()}.part').symlink_to('/dev/full')
+        return write_ply(path, *arguments)
+
+    monkeypatch.setattr(results, 'write_ply', find_no_space)
     assert reconstruct(bag, output) == 1
     assert 'No space left on device; free some space' in capsys.readouterr().err
-    assert frames_of(output) == 1
-    assert json.loads((output / 'summary.json').read_text())['finished'] is False
+    summary = json.loads((output / 'summary.json').read_text())
+    assert (len(summary['frames']), summary['finished']) == (1, False)
+    # what an earlier run had made is kept
+    assert ((output / '000001.ply').read_bytes(), (output / '000002.ply').read_bytes()) == old
+    assert not list(output.glob('.*'))
+
+
+def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / 'out'
+    bag = write_bag(tmp_path / 'bag', stereo_records(3))
+    assert reconstruct(bag, output, '--pictures') == 0
+    (output / '000009_notes.txt').write_text('mine')
+    before = sorted(output.iterdir())
+    bad = tmp_path / 'bad'
+    bad.mkdir()
+    assert reconstruct(wrong_size(bad), output) == 1
+    assert sorted(output.iterdir()) == before
+    assert len(json.loads((output / 'summary.json').read_text())['frames']) == 3
+    assert reconstruct(bag, output, '--max-frames', '2') == 0
+    (output / '000009_notes.txt').unlink()
+    assert frames_of(output) == 2
+    assert 'no partner' not in capsys.readouterr().out
+
+
+def test_pictures_without_partner_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    records = [r for i, r in enumerate(stereo_records(6)) if i not in (1, 7, 13)]
+    bag = write_bag(tmp_path / 'bag', records)
+    assert reconstruct(bag, tmp_path / 'out') == 0
+    assert capsys.readouterr().out.endswith('s per frame; 3 of 9 pictures have no partner\n')
+    assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['unpaired'] == 3
 
 
 def test_a_disk_that_became_read_only_is_said(
@@ -237,8 +278,10 @@ def test_an_interruption_keeps_the_finished_frames(tmp_path: Path) -> None:
     command = [sys.executable, '-m', 'binocular_recon', *words]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
-    while not (output / '000002.ply').exists() and time.monotonic() < deadline:
+    last = output / '000002_disparity.png'  # of a frame's files
+    while not last.exists() and time.monotonic() < deadline:
         time.sleep(0.01)
+    time.sleep(0.003)
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=30)
     assert process.returncode == 130, error

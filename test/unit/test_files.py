@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files are complete or absent."""
 
+import contextlib
 import errno
 import os
+import re
 from pathlib import Path
 
 import pytest
 
 from binocular_recon.errors import FileError
-from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.io.files import complete_file, complete_files, make_folder, write_json
 
 
 def write_half(path: Path, error: BaseException) -> None:
@@ -24,6 +26,34 @@ def test_an_interruption_keeps_the_old_file_and_leaves_no_part(tmp_path: Path) -
         write_half(path, KeyboardInterrupt())
     assert path.read_bytes() == b'old'
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    'error', [None, KeyboardInterrupt('^C'), FileError('b cannot be written')]
+)
+def test_files_of_a_set_appear_together_or_not_at_all(
+    tmp_path: Path, error: BaseException | None
+) -> None:
+    (tmp_path / 'a').write_text('old')
+    seen = None if error is None else pytest.raises(type(error), match=re.escape(str(error)))
+    with seen or contextlib.nullcontext(), complete_files(tmp_path) as parts:
+        write_json(parts / 'a', 1)
+        write_json(parts / 'b', 2)
+        assert (tmp_path / 'a').read_text() == 'old' and not (tmp_path / 'b').exists()
+        if error is not None:
+            raise error
+    left = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert left == ({'a': 'old'} if error else {'a': '1\n', 'b': '2\n'})
+
+
+def test_a_set_that_cannot_take_its_place_is_a_file_error(tmp_path: Path) -> None:
+    (tmp_path / 'a').mkdir()
+    with (
+        pytest.raises(FileError, match=r'cannot be filled: Is a directory; choose a folder'),
+        complete_files(tmp_path) as parts,
+    ):
+        write_json(parts / 'a', 1)
+    assert list(tmp_path.iterdir()) == [tmp_path / 'a']
 
 
 def test_a_full_disk_says_so_and_leaves_no_part(tmp_path: Path) -> None:
