@@ -74,11 +74,16 @@ def padded_range(config: MatchConfig) -> int:
 
 
 def lay_out(
-    left: FloatImage, right: FloatImage, config: MatchConfig, border: int
+    left: FloatImage,
+    right: FloatImage,
+    config: MatchConfig,
+    border: int,
+    contrasts: tuple[float, float] = (1.0, 1.0),
 ) -> tuple[Pair, int]:
     """Return checked pictures as kernels need them, and their steps per grey level.
 
-    ``border`` columns and rows are mirrored onto each side first.
+    ``border`` columns and rows are mirrored onto each side first. ``contrasts`` are factors on
+    each picture's threshold of texture.
     """
     size = config.correlation_window_size
     steps, kind = _resolution(left, right, config)
@@ -87,13 +92,14 @@ def lay_out(
         right = cv2.copyMakeBorder(right, *4 * [border], cv2.BORDER_REFLECT_101)
     height, width = left.shape
     places = width + padded_range(config) - 1
+    threshold = (config.texture_threshold * steps) ** 2 * size * size
     pair = Pair(
         np.empty((height + 1, width), kind),
         np.empty((height + 1, places), kind),
         np.empty((height + 1, width), np.uint8),
         np.empty((height + 1, places), np.uint8),
         size,
-        (config.texture_threshold * steps) ** 2 * size * size,
+        (threshold * contrasts[0] ** 2, threshold * contrasts[1] ** 2),
     )
     over_strips(
         lambda start, stop: lay_out_strip(

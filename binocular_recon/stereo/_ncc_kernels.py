@@ -33,7 +33,8 @@ class Pair(NamedTuple):
 
     ``left`` (H + 1, W) and ``right`` (H + 1, W + D - 1) hold centred integers as float32 or
     float64, 0 where there is no data; their last row is 0 and stands for "no row".
-    ``left_bad`` and ``right_bad`` are 1 where there is no data.
+    ``left_bad`` and ``right_bad`` are 1 where there is no data. A window's energy, the sum of
+    squares from its mean, must reach ``least_energy`` for a score.
     """
 
     left: Array
@@ -41,7 +42,7 @@ class Pair(NamedTuple):
     left_bad: Array
     right_bad: Array
     size: int
-    least_energy: float
+    least_energy: tuple[float, float]
 
 
 class Statistics(NamedTuple):
@@ -157,8 +158,8 @@ def normalise_row(pair: Pair, statistics: Statistics) -> None:
     """Fill both norms from the column sums."""
     size = pair.size
     left, right = statistics.left_norm, statistics.right_norm
-    _window_energy(statistics.left_sums, size, pair.least_energy, left[0], left[1])
-    _window_energy(statistics.right_sums, size, pair.least_energy, right[0], right[2])
+    _window_energy(statistics.left_sums, size, pair.least_energy[0], left[0], left[1])
+    _window_energy(statistics.right_sums, size, pair.least_energy[1], right[0], right[2])
     total, rest, norm, bias = right[0], right[1], right[2], right[3]
     pixels, none = total.dtype.type(size * size), total.dtype.type(NO_SCORE)
     half, zero = total.dtype.type(0.5), total.dtype.type(0)

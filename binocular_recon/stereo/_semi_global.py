@@ -60,9 +60,12 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
 
 def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> CostSource:
     size = config.correlation_window_size
-    big, steps = lay_out(left, right, config, size // 2)
-    small = big._replace(size=max(size - 2, 3), least_energy=0.0)
-    noise = NOISE / exposure_gain(left) * steps * small.size
+    gain, right_gain = exposure_gain(left), exposure_gain(right)
+    # the darker picture has less texture everywhere
+    contrasts = min(right_gain / gain, 1.0), min(gain / right_gain, 1.0)
+    big, steps = lay_out(left, right, config, size // 2, contrasts)
+    small = big._replace(size=max(size - 2, 3), least_energy=(0.0, 0.0))
+    noise = NOISE / gain * steps * small.size
     return CostSource(
         big,
         small,

@@ -253,6 +253,18 @@ def test_exposure_does_not_matter(semi_global: bool) -> None:
     assert np.quantile(change, 0.99) < 0.04  # levels are rounded to a quarter
 
 
+@pytest.mark.parametrize('side', [0, 1])
+def test_less_contrast_of_one_picture_loses_no_texture(side: int) -> None:
+    pair = [image / 45 + 100 for image in shifted_pair(60, 100, 6.5)]  # just above the threshold
+    seen = []
+    for share in (1.0, 0.6):
+        pair[side] = pair[side] * np.float32(share)
+        options = config(semi_global=True, half_resolution=False, speckle_size=0)
+        seen.append(np.isfinite(match(pair[0], pair[1], options).disparity_px).mean())
+    assert 0.3 < seen[0] < 0.9
+    assert abs(seen[1] - seen[0]) < 0.03
+
+
 def test_speckles_are_removed() -> None:
     disparity = np.full((40, 60), 6.25, np.float32)
     disparity[5:10, 5:10] = 12.0
