@@ -4,10 +4,19 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
+from operator import attrgetter
 from typing import Any
+
+# Stamps of an input that are remembered, however few messages wait: they tell a message that
+# comes too late from one without a partner.
+_REMEMBERED = 1000
+# Messages of an input of which the latest tells how long its partners had to wait.
+_LATENESS_OF = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,10 +28,12 @@ class _Entry:
 class _Input:
     """What has arrived on one topic."""
 
-    def __init__(self, name: str, queue_size: int) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
-        self.waiting: deque[_Entry] = deque()
-        self.recent_ns: deque[int] = deque(maxlen=2 * queue_size)
+        self.waiting: deque[_Entry] = deque()  # by stamp
+        self.recent_ns: deque[int] = deque(maxlen=_REMEMBERED)  # never falls
+        # messages of another input that came between a partner and this input's message
+        self.lateness: deque[int] = deque(maxlen=_LATENESS_OF)
         self.step_ns: int | None = None  # smallest distance of consecutive stamps
         self.behind = 0  # messages for which it may still be in the time before a jump back
         self.ended = False
@@ -30,8 +41,22 @@ class _Input:
 
     def nearest(self, stamp_ns: int) -> _Entry | None:
         """Return the waiting message nearest to a stamp, the latest arrival among equals."""
-        newest_first = reversed(self.waiting)
-        return min(newest_first, key=lambda entry: abs(entry.stamp_ns - stamp_ns), default=None)
+        stamp_of = attrgetter('stamp_ns')
+        after = bisect_right(self.waiting, stamp_ns, key=stamp_of)
+        before = self.waiting[after - 1] if after else None
+        if after == len(self.waiting):
+            return before
+        later_ns = self.waiting[after].stamp_ns
+        if before is not None and stamp_ns - before.stamp_ns < later_ns - stamp_ns:
+            return before
+        return self.waiting[bisect_right(self.waiting, later_ns, key=stamp_of) - 1]
+
+    def newer(self, stamp_ns: int, tolerance_ns: int) -> int:
+        """Count the messages that came after the partner of a stamp, 0 if it had none."""
+        after = bisect_right(self.recent_ns, stamp_ns + tolerance_ns)
+        if not after or self.recent_ns[after - 1] < stamp_ns - tolerance_ns:
+            return 0
+        return len(self.recent_ns) - after
 
     def is_settled(self, stamp_ns: int, gap_ns: int) -> bool:
         """Tell whether no message nearer to a stamp than ``gap_ns`` can still arrive."""
@@ -73,7 +98,7 @@ class Synchronizer:
         self.dropped: Counter[str] = Counter()
         self._queue_size = queue_size
         self._tolerance_ns = tolerance_ns
-        self._inputs = {name: _Input(name, queue_size) for name in names}
+        self._inputs = {name: _Input(name) for name in names}
         self._leader = self._inputs[names[0]]
         self._lock = threading.Lock()
 
@@ -101,7 +126,26 @@ class Synchronizer:
             for one in self._inputs.values():
                 one.waiting.clear()
                 one.recent_ns.clear()
+                one.lateness.clear()
                 one.behind = 0
+
+    def too_late(self) -> dict[str, int]:
+        """Return the inputs whose messages came after their partners had to be dropped.
+
+        Returns
+        -------
+        needed : dict of str to int
+            The least ``queue_size`` with which the last few messages of each such input would
+            have found their partners; at most 1000 can be told.
+
+        """
+        with self._lock:
+            needed = {
+                one.name: 1 + max(one.lateness, default=0)
+                for one in self._inputs.values()
+                if one.expected
+            }
+        return {name: count for name, count in needed.items() if count > self._queue_size}
 
     def explain(self) -> tuple[str, float] | None:
         """Say by how much stamps miss each other.
@@ -134,7 +178,9 @@ class Synchronizer:
 
     def _take_sets(self) -> list[tuple[Any, ...]]:
         """Remove complete sets, and what is older: its partners would have come before theirs."""
-        sets = []
+        sets: list[tuple[Any, ...]] = []
+        if any(one.expected and not one.waiting for one in self._inputs.values()):
+            return sets
         for leading in list(self._leader.waiting):
             found = self._partners(leading)
             if found is not None:
@@ -150,8 +196,27 @@ class Synchronizer:
 
     def _miss_ns(self, one: _Input) -> int | None:
         """Return the smallest difference of an expected input's stamps from the leader's."""
-        gaps_ns = [b - a for a in self._leader.recent_ns for b in one.recent_ns]
-        return min(gaps_ns, key=abs) if gaps_ns and one.expected else None
+        leading_ns = self._leader.recent_ns
+        if not leading_ns or not one.recent_ns or not one.expected:
+            return None
+        gaps_ns = []
+        for stamp_ns in islice(reversed(one.recent_ns), 2 * self._queue_size):
+            after = bisect_right(leading_ns, stamp_ns)
+            near_ns = [leading_ns[k] for k in (after - 1, after) if 0 <= k < len(leading_ns)]
+            gaps_ns += [stamp_ns - leading for leading in near_ns]
+        return min(gaps_ns, key=abs)
+
+    def _note_lateness(self, one: _Input, stamp_ns: int) -> None:
+        """Note how many messages came between the partner of a message and it."""
+        others = self._inputs.values() if one is self._leader else [self._leader]
+        tolerance_ns = self._tolerance_ns or 0
+        if not one.behind:
+            newer = [
+                other.newer(stamp_ns, tolerance_ns)
+                for other in others
+                if other is not one and not other.behind
+            ]
+            one.lateness.append(max(newer, default=0))
 
     def _arrive(self, one: _Input, entry: _Entry) -> None:
         step_ns = entry.stamp_ns - one.recent_ns[-1] if one.recent_ns else 0
@@ -162,6 +227,7 @@ class Synchronizer:
         if step_ns > 0:
             one.step_ns = min(one.step_ns or step_ns, step_ns)
         one.recent_ns.append(entry.stamp_ns)
+        self._note_lateness(one, entry.stamp_ns)
         one.waiting.append(entry)
         if len(one.waiting) > self._queue_size:
             one.waiting.popleft()
@@ -171,6 +237,7 @@ class Synchronizer:
         self.dropped['clock went back'] += len(jumped.waiting)
         jumped.waiting.clear()
         jumped.recent_ns.clear()
+        jumped.lateness.clear()
         if jumped.behind:
             jumped.behind = 0  # it follows a jump of another input
             return

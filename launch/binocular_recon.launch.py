@@ -14,26 +14,39 @@ from typing import Any
 import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig, Options
+from binocular_recon.config import (
+    CloudConfig,
+    FilterConfig,
+    MatchConfig,
+    Options,
+    OptionValue,
+    check_option,
+)
 from binocular_recon.nodes.options import (
     CalibrationOptions,
     CloudMessageOptions,
     InputOptions,
     PresetOptions,
+    QueueOptions,
     RectifyOptions,
 )
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')
 # Options of each node that are launch arguments. How the cameras' pictures arrive and pair is a
-# matter of the first node; what it sends carries one stamp.
+# matter of the first node; what it sends carries one stamp. In the last one pictures wait again.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
     'match_node': (PresetOptions, MatchConfig),
-    'wls_filter_node': (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions),
+    'wls_filter_node': (
+        PresetOptions,
+        QueueOptions,
+        FilterConfig,
+        CloudConfig,
+        CloudMessageOptions,
+    ),
 }
 # The nodes' own messages must not get lost: reliable, whatever the cameras are.
 _RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
@@ -45,21 +58,23 @@ RELIABLE = {
 REMAPPINGS = [(f'{side}/camera_info', f'{side}/camera_info_rect') for side in SIDES]
 # Fast DDS 3 knows the first name, Fast DDS 2 (Jazzy and earlier) the second.
 PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+# Arguments that are no options of a node: default and description.
+ARGUMENTS = {
+    'namespace': ('', 'Namespace of the rig: its topics are <namespace>/left/image_raw, ...'),
+    'params_file': ('', 'YAML file with parameters of the nodes; arguments win over it'),
+    'use_sim_time': ('false', 'Take the time from /clock, as of a bag or a simulation'),
+    'rviz': ('false', 'Start RViz with the cloud and the pictures'),
+    'rviz_frame': ('camera_left_optical', "Frame of the left camera, RViz's fixed frame"),
+    'dds_profile': (
+        str(SHARE / 'config' / 'fastdds_shared_memory.xml'),
+        'Fast DDS profile with shared memory for pictures; empty: leave DDS as it is',
+    ),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the arguments and start the nodes."""
-    arguments = {
-        'namespace': ('', 'Namespace of the rig: its topics are <namespace>/left/image_raw, ...'),
-        'params_file': ('', 'YAML file with parameters of the nodes; arguments win over it'),
-        'use_sim_time': ('false', 'Take the time from /clock, as of a bag or a simulation'),
-        'rviz': ('false', 'Start RViz with the cloud and the pictures'),
-        'rviz_frame': ('camera_left_optical', "Frame of the left camera, RViz's fixed frame"),
-        'dds_profile': (
-            str(SHARE / 'config' / 'fastdds_shared_memory.xml'),
-            'Fast DDS profile with shared memory for pictures; empty: leave DDS as it is',
-        ),
-    }
+    arguments = dict(ARGUMENTS)
     for groups in OPTIONS.values():
         for spec in (spec for group in groups for spec in dataclasses.fields(group)):
             arguments[spec.name] = '', _describe(spec)
@@ -86,16 +101,21 @@ def _describe(spec: dataclasses.Field[Any]) -> str:
 def _start(context: LaunchContext) -> list[Any]:
     """Return the nodes with the arguments that were given."""
     given = {name: value for name, value in context.launch_configurations.items() if value}
+    switched = {
+        name: yaml.safe_load(given.get(name, 'false')) for name in ('use_sim_time', 'rviz')
+    }
     actions: list[Any] = []
-    profile = LaunchConfiguration('dds_profile').perform(context)
+    profile = given.get('dds_profile')
     if profile and not any(name in os.environ for name in PROFILE_VARIABLES):
         older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
         actions.append(SetEnvironmentVariable(PROFILE_VARIABLES[older], profile))
     namespace = given.get('namespace', '').strip('/')
     for executable, groups in OPTIONS.items():
-        names = {spec.name for group in groups for spec in dataclasses.fields(group)}
-        values = {name: yaml.safe_load(given[name]) for name in sorted(names & given.keys())}
-        values['use_sim_time'] = yaml.safe_load(given['use_sim_time'])
+        specs = [spec for group in groups for spec in dataclasses.fields(group)]
+        values: dict[str, OptionValue] = {
+            spec.name: _value(spec, given[spec.name]) for spec in specs if spec.name in given
+        }
+        values['use_sim_time'] = switched['use_sim_time']
         prefix = f'/{namespace}' if namespace else ''
         for topic in RELIABLE[executable]:
             values[f'qos_overrides.{prefix}/{topic}.subscription.reliability'] = 'reliable'
@@ -110,7 +130,7 @@ def _start(context: LaunchContext) -> list[Any]:
                 output='screen',
             )
         )
-    if yaml.safe_load(given['rviz']):
+    if switched['rviz']:
         actions.append(
             Node(
                 package='rviz2',
@@ -118,9 +138,20 @@ def _start(context: LaunchContext) -> list[Any]:
                 namespace=namespace,
                 arguments=[
                     *('-d', str(SHARE / 'rviz' / 'binocular_recon.rviz')),
-                    *('-f', given['rviz_frame']),
+                    *('-f', given.get('rviz_frame', ARGUMENTS['rviz_frame'][0])),
                 ],
-                parameters=[{'use_sim_time': yaml.safe_load(given['use_sim_time'])}],
+                parameters=[{'use_sim_time': switched['use_sim_time']}],
             )
         )
     return actions
+
+
+def _value(spec: dataclasses.Field[Any], text: str) -> OptionValue:
+    """Return an argument as its option's type; a ConfigError says what is allowed."""
+    kind = type(spec.default)
+    try:
+        # YAML takes 1e-5 for text and a folder named 2026 for a number
+        value = yaml.safe_load(text) if kind is bool else kind(text)
+    except (ValueError, yaml.YAMLError):
+        value = text
+    return check_option(spec, value)

@@ -12,7 +12,16 @@ from binocular_recon.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class InputOptions(Options):
+class QueueOptions(Options):
+    """How long a node waits for messages that belong together."""
+
+    queue_size: int = option(
+        5, 'Messages of an input that wait for their partners', minimum=1, maximum=1000
+    )
+
+
+@dataclass(frozen=True)
+class InputOptions(QueueOptions):
     """How a node receives and pairs its inputs."""
 
     image_transport: str = option(
@@ -26,9 +35,6 @@ class InputOptions(Options):
         minimum=0.0,
         maximum=10.0,
     )
-    queue_size: int = option(
-        5, 'Messages of an input that wait for their partners', minimum=1, maximum=100
-    )
 
     @property
     def tolerance_ns(self) -> int | None:
@@ -36,6 +42,19 @@ class InputOptions(Options):
         if not self.approximate_sync:
             return 0
         return round(self.approximate_sync_tolerance_seconds * 1e9) or None
+
+
+@dataclass(frozen=True)
+class LateInputOptions(InputOptions):
+    """How a node pairs pictures with what another node made of them a while later."""
+
+    queue_size: int = option(
+        60,
+        'Messages of an input that wait for their partners: pictures wait for their disparities,'
+        ' so more than matching time times frame rate',
+        minimum=1,
+        maximum=1000,
+    )
 
 
 @dataclass(frozen=True)

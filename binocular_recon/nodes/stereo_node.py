@@ -71,7 +71,7 @@ class StereoNode(Node):
 
     def start_worker(self, work: Callable[[Any], None]) -> LatestWorker[Any]:
         """Return a worker that ends with the node."""
-        worker = LatestWorker(work)
+        worker = LatestWorker(work, self._fail)
         self._workers.append(worker)
         return worker
 
@@ -143,6 +143,16 @@ class StereoNode(Node):
 
     def explain_missing_sets(self) -> str:
         """Say why there are no sets although every topic has messages."""
+        silent = self.health.silent()
+        unused = [t for t in self._optional if t in silent and self._is_published(t)]
+        if unused:
+            return (
+                f'sets wait for {", ".join(unused)}, which has a publisher but no messages; check'
+                ' that publisher or stop it: sets are complete without'
+            )
+        too_late = self._explain_lateness()
+        if too_late:
+            return too_late
         missing = self._synchronizer.explain()
         if missing is None:
             return (
@@ -163,10 +173,22 @@ class StereoNode(Node):
             worker.close()
         super().destroy_node()
 
+    def _explain_lateness(self) -> str:
+        """Say what comes when its partners have been dropped, '' if nothing does."""
+        needed = self._synchronizer.too_late()
+        if not needed:
+            return ''
+        return (
+            f'{", ".join(needed)} comes too late: messages of its stamp have made room for newer'
+            f' ones by then; raise queue_size to at least {max(needed.values())}'
+        )
+
+    def _is_published(self, optional: str) -> bool:
+        return self.count_publishers(self._optional[optional]) > 0
+
     def _subscribe(self) -> list[Any]:
         self._synchronizer.clear()
-        expected = [topic for topic, one in self._inputs.items() if not one.optional]
-        self.health.expect([*expected, _SETS])
+        self.health.expect([*self._inputs, _SETS])
         return [
             subscribe(
                 self,
@@ -190,8 +212,8 @@ class StereoNode(Node):
 
     def _receive(self, topic: str, message: Any) -> None:
         self.health.received(topic)
-        for optional, name in self._optional.items():
-            self._synchronizer.expect(optional, self.count_publishers(name) > 0)
+        for optional in self._optional:
+            self._synchronizer.expect(optional, self._is_published(optional))
         for found in self._synchronizer.add(topic, stamp_ns(message.header), message):
             self.health.received(_SETS)
             if self._worker.submit(found):
@@ -210,13 +232,15 @@ class StereoNode(Node):
         except MemoryError as error:
             self.health.dropped('not enough memory')
             self.health.error(f'{error}; choose a smaller disparity_range or smaller pictures')
-        except Exception:  # noqa: BLE001 - a fault in one frame must not end the node
-            if self.context.ok():  # after a shutdown nothing can be published
-                self.health.dropped('internal error')
-                self.health.error(traceback.format_exc())
         else:
             self._processed += 1
             self.health.processed(time.monotonic() - begun_s)
+
+    def _fail(self, error: Exception) -> None:
+        """Report a fault of ours, in a worker's thread."""
+        if self.context.ok():  # after a shutdown nothing can be published
+            self.health.dropped('internal error')
+            self.health.error(''.join(traceback.format_exception(error)))
 
     def _report(self) -> None:
         self._update()
@@ -236,17 +260,20 @@ class StereoNode(Node):
         if not self._listening:
             topics = ', '.join(self._outputs)
             return DiagnosticStatus.OK, f'idle: nobody subscribes to any of {topics}'
-        silent = self.health.silent()
-        without_sets = silent.pop(_SETS, None)
+        ages_s = self.health.silent()
+        required = [topic for topic in self._inputs if topic not in self._optional]
+        silent = {topic: ages_s[topic] for topic in required if topic in ages_s}
         level = DiagnosticStatus.ERROR
-        if len(silent) == sum(not one.optional for one in self._inputs.values()):
+        if len(silent) == len(required):
             level = DiagnosticStatus.STALE
             text = f'no messages on {", ".join(silent)}; start the cameras or check the remapping'
         elif silent:
             since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
-            text = f'no message on {since}; check that camera and its cable'
-        elif without_sets is not None:
+            text = f'no message on {since}; check what publishes it (node, camera, cable)'
+        elif _SETS in ages_s:
             text = self.explain_missing_sets()
+        elif too_late := self._explain_lateness():
+            level, text = DiagnosticStatus.WARN, too_late
         elif superseded:
             level = DiagnosticStatus.WARN
             text = f'cannot keep up: dropped {superseded} sets for newer ones within a second'

@@ -19,7 +19,7 @@ from binocular_recon.io.colormap import heat_map
 from binocular_recon.io.disparity_messages import DisparityMap, fill_disparity, read_disparity
 from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
 from binocular_recon.nodes.endpoints import Input, Output
-from binocular_recon.nodes.options import CloudMessageOptions, PresetOptions
+from binocular_recon.nodes.options import CloudMessageOptions, LateInputOptions, PresetOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
 from binocular_recon.stereo.filtering import DisparityFilter, Filtered, filter_disparity
@@ -48,6 +48,7 @@ class WlsFilterNode(StereoNode):
         Output('disparity_color', Image),
     )
     LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions)
+    FIXED = (LateInputOptions,)
 
     def __init__(self) -> None:
         super().__init__()

@@ -16,12 +16,14 @@ class LatestWorker(Generic[Job]):
     Parameters
     ----------
     work : callable
-        Does a job, in the thread. It must not raise.
+        Does a job, in the thread.
+    failed : callable
+        Takes, in the thread, what ``work`` raised; the next job is done all the same.
 
     """
 
-    def __init__(self, work: Callable[[Job], None]) -> None:
-        self._work = work
+    def __init__(self, work: Callable[[Job], None], failed: Callable[[Exception], None]) -> None:
+        self._work, self._failed = work, failed
         self._waiting: list[Job] = []  # at most one
         self._closed = False
         self._changed = threading.Condition()
@@ -50,5 +52,8 @@ class LatestWorker(Generic[Job]):
                 if self._closed:
                     return
                 job = self._waiting.pop()
-            self._work(job)
+            try:
+                self._work(job)
+            except Exception as error:  # noqa: BLE001 - a fault in one job must not end the thread
+                self._failed(error)
             del job  # a picture is not kept until the next one comes

@@ -6,6 +6,10 @@ import threading
 from binocular_recon.nodes.worker import LatestWorker
 
 
+def unexpected(error: Exception) -> None:
+    raise AssertionError from error
+
+
 def test_the_newest_job_is_done_next_and_no_other_waits() -> None:
     begun, go, done = threading.Event(), threading.Event(), []
 
@@ -14,7 +18,7 @@ def test_the_newest_job_is_done_next_and_no_other_waits() -> None:
         assert go.wait(5)
         done.append(job)
 
-    worker = LatestWorker(work)
+    worker = LatestWorker(work, unexpected)
     assert worker.submit(0) is False
     assert begun.wait(5)  # 0 is being done
     assert [worker.submit(job) for job in (1, 2, 3)] == [False, True, True]
@@ -35,7 +39,7 @@ def test_close_lets_the_present_job_end_and_begins_no_other() -> None:
         assert go.wait(5)
         done.append(job)
 
-    worker = LatestWorker(work)
+    worker = LatestWorker(work, unexpected)
     worker.submit(0)
     assert begun.wait(5)
     worker.submit(1)
@@ -55,8 +59,29 @@ def test_jobs_are_done_one_at_a_time_and_in_order() -> None:
         if job == 199:
             finished.set()
 
-    worker = LatestWorker(work)
+    worker = LatestWorker(work, unexpected)
     replaced = sum(worker.submit(job) for job in range(200))
     assert finished.wait(5)
     worker.close(5)
     assert done == sorted(done) and len(done) == 200 - replaced
+
+
+def test_the_next_job_is_done_after_one_that_failed() -> None:
+    failures: list[Exception] = []
+    failed, done = threading.Event(), threading.Event()
+
+    def work(job: int) -> None:
+        1 / job
+        done.set()
+
+    def note(error: Exception) -> None:
+        failures.append(error)
+        failed.set()
+
+    worker = LatestWorker(work, note)
+    worker.submit(0)
+    assert failed.wait(5)
+    worker.submit(1)
+    assert done.wait(5)
+    worker.close(5)
+    assert [type(error) for error in failures] == [ZeroDivisionError]
