@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,9 +84,7 @@ def play(
         try:
             player = Player(node, bag, rate=rate, clock=clock)
             node.get_logger().info(player.describe())
-            start_s = time.monotonic() + delay_s
-            player.wait_for_subscribers()
-            time.sleep(max(0.0, start_s - time.monotonic()))
+            player.wait_for_subscribers(delay_s)
             for _ in itertools.count() if loop else (0,):
                 player.play_once()
                 if loop:
@@ -124,7 +122,7 @@ class Player:
 
     def __init__(self, node: Node, bag: Bag, *, rate: float = 1.0, clock: bool = False) -> None:
         self._node, self._bag, self._rate = node, bag, rate
-        self._length_s = 0.0
+        self._length_s, self._last_ns = 0.0, 0
         self._health = Health(node.get_logger())
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._next_report_s = 0.0
@@ -150,12 +148,16 @@ class Player:
         names = ', '.join(f'{x.name} ({x.message_count})' for x in self._publishers)
         return f'playing {self._bag.path} at {self._rate:g} x its speed: {names}'
 
-    def wait_for_subscribers(self) -> None:
-        """Return when all topics have matched all subscribers there are, or after a while."""
-        deadline = time.monotonic() + _START_WITHIN_S - _SETTLING_S
-        while time.monotonic() < deadline and not all(map(self._is_matched, self._publishers)):
-            time.sleep(0.02)
-        time.sleep(_SETTLING_S)
+    def wait_for_subscribers(self, least_s: float = 0.0) -> None:
+        """Return when all topics have matched all subscribers there are, or after a while.
+
+        Until then, at least ``least_s``, the clock stands at the first message.
+        """
+        begun_s = time.monotonic()
+        first = next(self._bag.messages(list(self._publishers)), None)
+        first_ns = first.stamp_ns if first else 0
+        self._stand_until(begun_s + _START_WITHIN_S - _SETTLING_S, first_ns, self._are_matched)
+        self._stand_until(max(begun_s + least_s, time.monotonic() + _SETTLING_S), first_ns)
 
     def play_once(self) -> None:
         """Publish every message when it is due; late ones follow at once."""
@@ -165,6 +167,7 @@ class Player:
             for done, message in enumerate(self._bag.messages(list(self._publishers))):
                 if first_ns is None:
                     start_s, first_ns = time.monotonic(), message.stamp_ns
+                self._last_ns = message.stamp_ns
                 self._length_s = (message.stamp_ns - first_ns) / 1e9 / self._rate
                 due_s = start_s + self._length_s
                 self._sleep_until(due_s, message.stamp_ns)
@@ -176,7 +179,9 @@ class Player:
     def pause(self) -> None:
         """Wait between two rounds as long as between two messages of the most frequent topic."""
         steps = max(topic.message_count for topic in self._publishers) - 1
-        time.sleep(self._length_s / steps if steps and self._length_s else _ROUND_PAUSE_S)
+        pause_s = self._length_s / steps if steps and self._length_s else _ROUND_PAUSE_S
+        end_ns = self._last_ns + int(pause_s * self._rate * 1e9)
+        self._sleep_until(time.monotonic() + pause_s, end_ns)
 
     def wait_for_delivery(self) -> None:
         """Return when subscribers have acknowledged what was published, or after a while."""
@@ -185,12 +190,24 @@ class Player:
             left_s = max(0.0, deadline - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 
-    def _is_matched(self, topic: Topic) -> bool:
-        known = self._node.count_subscribers(topic.name)
-        return self._publishers[topic].get_subscription_count() >= max(1, known)
+    def _are_matched(self) -> bool:
+        return all(
+            publisher.get_subscription_count() >= max(1, self._node.count_subscribers(topic.name))
+            for topic, publisher in self._publishers.items()
+        )
+
+    def _stand_until(
+        self, end_s: float, stamp_ns: int, is_over: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Wait while the time of recording stands still."""
+        while (left_s := end_s - time.monotonic()) > 0 and not is_over():
+            if self._clock is not None:
+                self._clock.publish(_clock(stamp_ns))
+            self._report(end_s)
+            time.sleep(min(left_s, _CLOCK_PERIOD_S))
 
     def _sleep_until(self, due_s: float, stamp_ns: int) -> None:
-        """Sleep until a message is due, publishing the time meanwhile."""
+        """Sleep until a moment of the recording, publishing the time meanwhile."""
         while True:
             left_s = due_s - time.monotonic()
             if self._clock is not None:

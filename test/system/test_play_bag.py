@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
@@ -148,13 +148,14 @@ def test_clock_is_the_time_of_recording(graph: Graph, play: Play, tmp_path: Path
     bag = write_bag(tmp_path / 'bag', stereo_records(6))
     inbox = graph.inbox('/clock', Clock, QOS)
     finish(play(bag, '--clock', '--rate', '0.5', '--delay', '3'))
-    clock_ns = [m.clock.sec * 1_000_000_000 + m.clock.nanosec for m in inbox.messages]
+    clock_ns = [time_ns(message) for message in inbox.messages]
     assert clock_ns == sorted(clock_ns)
     stamps_ns = [stamp_ns for _, _, stamp_ns in stereo_records(6)]
     assert set(stamps_ns) <= set(clock_ns)
     assert (clock_ns[0], clock_ns[-1]) == (min(stamps_ns), max(stamps_ns))
-    # 100 Hz of real time over 1 s
-    assert 50 <= len(clock_ns) <= 130
+    # 100 Hz of real time, over 1 s and, standing, before
+    assert 50 <= sum(now_ns > min(stamps_ns) for now_ns in clock_ns) <= 130
+    assert clock_ns.count(min(stamps_ns)) >= 50
 
 
 def test_quality_of_service_is_that_of_the_recording(
@@ -221,12 +222,33 @@ def test_what_precedes_the_damage_is_played(graph: Graph, play: Play, tmp_path: 
     assert 'is damaged (it ends at byte 2500000, inside a record)' in log.splitlines()[-1]
 
 
+def time_ns(message: Clock) -> int:
+    return int(message.clock.sec) * 1_000_000_000 + int(message.clock.nanosec)
+
+
 class FakePublisher:
-    def __init__(self, matched_at_s: float) -> None:
+    """Keeps what is published, and has its subscriber from a moment on."""
+
+    def __init__(self, matched_at_s: float = 0.0) -> None:
         self.matched_at_s = matched_at_s
+        self.messages: list[Any] = []
 
     def get_subscription_count(self) -> int:
         return int(time.monotonic() >= self.matched_at_s)
+
+    def publish(self, message: Any) -> None:
+        self.messages.append(message)
+
+
+@contextmanager
+def player(graph: Graph, folder: Path, **options: Any) -> Iterator[Any]:
+    """Return a player of two camera infos whose messages are kept."""
+    records = [record for record in stereo_records(1) if 'info' in record[0]]
+    with Bag(write_bag(folder / 'bag', records)) as bag:
+        made: Any = Player(graph.node, bag, **options)
+        made._clock, made._diagnostics = FakePublisher(), FakePublisher()
+        made._publishers = {topic: FakePublisher() for topic in bag.topics}
+        yield made
 
 
 @pytest.mark.parametrize(
@@ -236,11 +258,29 @@ class FakePublisher:
 def test_playing_starts_when_subscribers_have_matched_or_after_two_seconds(
     graph: Graph, tmp_path: Path, matched_after_s: tuple[float, float], starts_after_s: float
 ) -> None:
-    records = [record for record in stereo_records(1) if 'info' in record[0]]
-    with Bag(write_bag(tmp_path / 'bag', records)) as bag:
-        player = Player(graph.node, bag)
+    with player(graph, tmp_path, clock=True) as waiting:
         start_s = time.monotonic()
-        for topic, after_s in zip(bag.topics, matched_after_s, strict=True):
-            player._publishers[topic] = FakePublisher(start_s + after_s)  # type: ignore[assignment]
-        player.wait_for_subscribers()
-    assert time.monotonic() - start_s == pytest.approx(starts_after_s, abs=0.15)
+        for publisher, after_s in zip(waiting._publishers.values(), matched_after_s, strict=True):
+            publisher.matched_at_s = start_s + after_s
+        waiting.wait_for_subscribers()
+        assert time.monotonic() - start_s == pytest.approx(starts_after_s, abs=0.15)
+    clock_ns = [time_ns(message) for message in waiting._clock.messages]
+    assert set(clock_ns) == {START_NS} and len(clock_ns) >= 40 * starts_after_s
+    assert len(waiting._diagnostics.messages) >= max(1, int(starts_after_s))
+
+
+def test_time_and_diagnostics_go_on_between_two_rounds(graph: Graph, tmp_path: Path) -> None:
+    """A recording without a length pauses for one second."""
+    with player(graph, tmp_path, clock=True, rate=2.0) as playing:
+        playing.play_once()
+        for publisher in (playing._clock, playing._diagnostics):
+            publisher.messages.clear()
+        playing._next_report_s = 0.0
+        playing.pause()
+    clock_ns = [time_ns(message) for message in playing._clock.messages]
+    assert clock_ns == sorted(clock_ns) and len(clock_ns) >= 40
+    assert clock_ns[0] == pytest.approx(START_NS, abs=100_000_000)
+    assert clock_ns[-1] == START_NS + 2_000_000_000
+    (status,) = playing._diagnostics.messages[0].status
+    values = {item.key: item.value for item in status.values}
+    assert values['behind the recording'] == '0.000 s'
