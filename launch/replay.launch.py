@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded bag through the whole chain; the chain's arguments are accepted too."""
+"""A recorded bag through the whole chain, with the chain's arguments."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import yaml
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 CHAIN = Path(__file__).with_name('binocular_recon.launch.py')
@@ -29,20 +30,20 @@ def generate_launch_description() -> LaunchDescription:
                 DeclareLaunchArgument(name, default_value=default, description=description)
                 for name, (default, description) in ARGUMENTS.items()
             ),
-            OpaqueFunction(function=_start),
+            # Not in the function below, so that `--show-args` lists the chain's arguments too.
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(str(CHAIN)),
+                launch_arguments={'use_sim_time': LaunchConfiguration('clock')}.items(),
+            ),
+            OpaqueFunction(function=_start_player),
         ]
     )
 
 
-def _start(context: LaunchContext) -> list[Any]:
-    """Return the chain and the player."""
+def _start_player(context: LaunchContext) -> list[Any]:
     given = context.launch_configurations
     switches = [f'--{name}' for name in ('loop', 'clock') if yaml.safe_load(given[name])]
     return [
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(CHAIN)),
-            launch_arguments={'use_sim_time': given['clock']}.items(),
-        ),
         Node(
             package='binocular_recon',
             executable='play_bag',

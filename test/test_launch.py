@@ -18,6 +18,7 @@ import pytest
 import yaml
 
 from binocular_recon.config import check_option
+from binocular_recon.errors import ConfigError
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CHAIN = REPOSITORY / 'launch' / 'binocular_recon.launch.py'
@@ -48,9 +49,7 @@ class Node(Described): ...
 class IncludeLaunchDescription(Described): ...
 
 
-class LaunchConfiguration(Described):
-    def perform(self, context: Any) -> str:
-        return str(context.launch_configurations[self.positional[0]])
+class LaunchConfiguration(Described): ...
 
 
 @pytest.fixture(autouse=True)
@@ -78,10 +77,11 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def launched(path: Path, **given: str) -> tuple[dict[str, Any], list[Any]]:
     """Return the arguments of a launch file by name, and what it starts with those given."""
-    *arguments, start = runpy.run_path(str(path))['generate_launch_description']()
-    named = {argument.positional[0]: argument for argument in arguments}
+    *described, start = runpy.run_path(str(path))['generate_launch_description']()
+    named = {one.positional[0]: one for one in described if isinstance(one, DeclareLaunchArgument)}
     values = {name: argument.default_value for name, argument in named.items()} | given
-    return named, start.function(SimpleNamespace(launch_configurations=values))
+    included = [one for one in described if isinstance(one, IncludeLaunchDescription)]
+    return named, [*included, *start.function(SimpleNamespace(launch_configurations=values))]
 
 
 def nodes() -> dict[str, Any]:
@@ -176,6 +176,52 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
     )
 
 
+def test_every_argument_reaches_its_node_with_the_type_of_its_option() -> None:
+    specs = {name: spec for node in nodes().values() for name, spec in options(node).items()}
+    for name, spec in specs.items():
+        default = spec.default
+        texts: list[tuple[str, Any]] = [(str(default), default)] if default != '' else []
+        if isinstance(default, float):
+            texts += [('2e-3', 0.002), ('1', 1.0)]
+        if name == 'calibration':
+            texts += [('2026', '2026'), ('1e3', '1e3'), ('true', 'true')]
+        for text, value in texts:
+            found = [
+                action.parameters[-1][name]
+                for action in launched(CHAIN, **{name: text})[1]
+                if isinstance(action, Node) and name in action.parameters[-1]
+            ]
+            assert found and all(type(x) is type(default) and x == value for x in found), name
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'message'),
+    [
+        ('wls_alpha', 'much', "wls_alpha must be of type float, got 'much'"),
+        ('max_depth', 'nan', r'max_depth must be within 0\.0\.\.1000000\.0 m, got nan'),
+        ('disparity_range', '1e2', "disparity_range must be of type int, got '1e2'"),
+        ('use_color', '2', 'use_color must be of type bool, got 2'),
+        ('use_color', '[', r"use_color must be of type bool, got '\['"),
+        ('preset', 'best', 'preset must be one of paper, fast'),
+    ],
+)
+def test_arguments_that_an_option_does_not_take_are_refused(
+    name: str, text: str, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        launched(CHAIN, **{name: text})
+
+
+def test_empty_arguments_are_as_not_given() -> None:
+    arguments, _ = launched(CHAIN)
+    _, actions = launched(CHAIN, **dict.fromkeys(arguments, ''))
+    assert [action.executable for action in actions] == list(nodes())
+    assert all(action.parameters[0]['use_sim_time'] is False for action in actions)
+    assert launched(CHAIN, rviz='true', rviz_frame='')[1][-1].arguments[-1] == (
+        arguments['rviz_frame'].default_value
+    )
+
+
 @pytest.mark.parametrize(('distribution', 'name'), [('jazzy', 'FASTRTPS'), ('kilted', 'FASTDDS')])
 def test_shared_memory_unless_the_user_has_a_profile(
     monkeypatch: pytest.MonkeyPatch, distribution: str, name: str
@@ -204,7 +250,8 @@ def test_rviz_shows_topics_of_the_nodes() -> None:
 def test_replay_plays_into_the_chain() -> None:
     _, (chain, player) = launched(REPLAY, bag='some.bag', rate='0.5', loop='true')
     assert chain.positional[0].positional == (str(CHAIN),)
-    assert dict(chain.launch_arguments) == {'use_sim_time': 'true'}
+    ((name, value),) = chain.launch_arguments
+    assert (name, value.positional) == ('use_sim_time', ('clock',))
     assert (player.package, player.executable) == ('binocular_recon', 'play_bag')
     assert player.arguments == ['some.bag', '--rate', '0.5', '--loop', '--clock']
     _, (chain, player) = launched(REPLAY, bag='some.bag', clock='false')
