@@ -29,17 +29,24 @@ from binocular_recon.nodes.options import (
     CloudMessageOptions,
     InputOptions,
     PresetOptions,
+    QueueOptions,
     RectifyOptions,
 )
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')
 # Options of each node that are launch arguments. How the cameras' pictures arrive and pair is a
-# matter of the first node; what it sends carries one stamp.
+# matter of the first node; what it sends carries one stamp. In the last one pictures wait again.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
     'match_node': (PresetOptions, MatchConfig),
-    'wls_filter_node': (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions),
+    'wls_filter_node': (
+        PresetOptions,
+        QueueOptions,
+        FilterConfig,
+        CloudConfig,
+        CloudMessageOptions,
+    ),
 }
 # The nodes' own messages must not get lost: reliable, whatever the cameras are.
 _RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
