@@ -38,11 +38,12 @@ class Camera:
     D : (n,) float64
         Distortion coefficients of ``distortion_model``.
     R : (3, 3) float64
-        Rotation from the camera's to the rectified frame.
+        Rotation from the camera's to the rectified frame; checked by who rectifies.
     P : (3, 4) float64
         Projection of rectified points to rectified pixels.
     distortion_model : str
-        ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
+        ``plumb_bob``, ``rational_polynomial`` or ``equidistant``. Simulators leave it empty: with
+        ``D`` empty or zero that becomes ``plumb_bob`` without distortion.
 
     Raises
     ------
@@ -80,6 +81,9 @@ class Camera:
                 f'P is not that of a rectified camera (fx = {self.P[0, 0]:g},'
                 f' fy = {self.P[1, 1]:g} px); calibrate as a stereo rig'
             )
+        if not self.distortion_model and not self.D.any():
+            object.__setattr__(self, 'distortion_model', 'plumb_bob')
+            object.__setattr__(self, 'D', np.zeros(5))
         counts = DISTORTION_COEFFICIENTS.get(self.distortion_model)
         if counts is None:
             raise CalibrationError(

@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
-from binocular_recon.errors import ConfigError, ImageError
+from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
 
 Map = npt.NDArray[np.float32]
 
 # Longest side of a picture that cv2.remap takes.
 LARGEST_SIDE_PX = 32766
+# Largest element of R R^T - I that a rotation may have: files hold it with few digits.
+_ROTATION_TOLERANCE = 1e-3
 # Points along each side of the picture that stand for its border in `_border_points`.
 _BORDER_SAMPLES = 65
 
@@ -88,6 +90,8 @@ class Rectifier:
     ------
     ConfigError
         If ``alpha`` is neither -1 nor within 0..1.
+    CalibrationError
+        If an R is no rotation.
     ImageError
         If the pictures are larger than `LARGEST_SIDE_PX`.
 
@@ -103,6 +107,8 @@ class Rectifier:
                 f'pictures of {rig.left.width}x{rig.left.height} px cannot be rectified; their'
                 f' longest side may have {LARGEST_SIDE_PX} px'
             )
+        _check_rotation(rig.left, 'left')
+        _check_rotation(rig.right, 'right')
         if alpha >= 0.0:
             rig = _rescaled(rig, alpha)
         self.rig = StereoRig(_rectified(rig.left), _rectified(rig.right))
@@ -138,6 +144,15 @@ class Rectifier:
             check_size(image, self._size, side)
             rectified.append(cv2.remap(image, *maps, self._interpolation))
         return rectified[0], rectified[1]
+
+
+def _check_rotation(camera: Camera, side: str) -> None:
+    deviation = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
+    if deviation > _ROTATION_TOLERANCE or np.linalg.det(camera.R) < 0:
+        raise CalibrationError(
+            f'{side} camera: R is no rotation (R R^T is {deviation:.2g} from the identity,'
+            f' determinant {np.linalg.det(camera.R):.2g}); calibrate as a stereo rig'
+        )
 
 
 def check_size(image: Image, size: tuple[int, int], side: str) -> None:

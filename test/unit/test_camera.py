@@ -20,6 +20,13 @@ def make_camera(cx: float = 320.0, tx: float = 0.0) -> Camera:
     return Camera(640, 480, K, np.zeros(5), np.eye(3), projection)
 
 
+@pytest.mark.parametrize('D', [[], np.zeros(4)])
+def test_a_camera_without_a_distortion_model_has_no_distortion(D: Any) -> None:
+    camera = dataclasses.replace(make_camera(), D=D, distortion_model='')
+    assert camera.distortion_model == 'plumb_bob'
+    np.testing.assert_array_equal(camera.D, np.zeros(5))
+
+
 def test_baseline_focal_length_and_offset() -> None:
     rig = StereoRig(make_camera(), make_camera(cx=350.0, tx=-400.0))
     assert rig.baseline_m == pytest.approx(0.8)
@@ -36,6 +43,7 @@ def test_baseline_focal_length_and_offset() -> None:
         ({'P': np.zeros((3, 4))}, 'P is not that of a rectified camera'),
         ({'D': np.zeros(3)}, 'plumb_bob takes 0 or 4 or 5 distortion coefficients, got 3'),
         ({'distortion_model': 'fov'}, "distortion model 'fov' is not one of plumb_bob"),
+        ({'distortion_model': '', 'D': np.array([0.1])}, "distortion model '' is not one of"),
         ({'width': 0}, 'image size must be positive, got 0x480'),
     ],
 )

@@ -143,6 +143,26 @@ def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> Non
     assert left.dtype == right.dtype == dtype
 
 
+@pytest.mark.parametrize(
+    ('R', 'message'),
+    [
+        (np.zeros((3, 3)), r'right camera: R is no rotation \(R R\^T is 1 from the identity, det'),
+        (1.01 * np.eye(3), r'R is no rotation \(R R\^T is 0\.02 from'),
+        (np.diag([1, 1, -1]), r'R is no rotation .* determinant -1\); calibrate as a stereo rig'),
+    ],
+)
+def test_what_is_no_rotation_is_refused(R: FloatArray, message: str) -> None:
+    rig = make_rig()[0]
+    with pytest.raises(CalibrationError, match=message):
+        Rectifier(dataclasses.replace(rig, right=dataclasses.replace(rig.right, R=R)))
+
+
+def test_a_rotation_written_with_four_digits_is_one() -> None:
+    rig = make_rig()[0]
+    right = dataclasses.replace(rig.right, R=rig.right.R.round(4))
+    Rectifier(dataclasses.replace(rig, right=right))
+
+
 def test_wrong_size_is_refused() -> None:
     good, bad = np.zeros((200, 320), np.uint8), np.zeros((100, 320), np.uint8)
     rectifier = Rectifier(make_rig()[0])
