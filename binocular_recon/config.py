@@ -97,7 +97,7 @@ class MatchConfig(Options):
         0, 'Smallest disparity searched', unit='px', minimum=-2048, maximum=2048
     )
     disparity_range: int = option(
-        128, 'Number of disparities searched', unit='px', minimum=1, maximum=4096
+        128, 'Number of disparities searched', unit='px', minimum=2, maximum=4096
     )
     correlation_window_size: int = option(
         5, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2

@@ -70,9 +70,9 @@ def run(args: argparse.Namespace) -> None:
 
 def _config(args: argparse.Namespace) -> ChainConfig:
     least = chain_config(args).match.min_disparity
-    if args.max_disparity < least:
+    if args.max_disparity <= least:
         raise ConfigError(
-            f'--max-disparity must be at least the smallest disparity, {least} px,'
+            f'--max-disparity must be above the smallest disparity, {least} px,'
             f' got {args.max_disparity}'
         )
     return chain_config(args, disparity_range=args.max_disparity - least + 1)

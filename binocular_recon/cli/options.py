@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from collections.abc import Callable, Collection
 from typing import Any
 
@@ -68,12 +69,12 @@ def preset_names(text: str) -> list[str]:
 
 
 def positive(kind: type[int | float]) -> Callable[[str], float]:
-    """Return a converter of arguments that refuses 0 and less."""
+    """Return a converter of arguments that refuses what is not finite and above 0."""
 
     def convert(text: str) -> float:
         value = kind(text)
-        if not value > 0:
-            raise argparse.ArgumentTypeError(f'must be greater than 0, got {text}')
+        if not 0 < value < math.inf:
+            raise argparse.ArgumentTypeError(f'must be finite and greater than 0, got {text}')
         return value
 
     convert.__name__ = 'number' if kind is float else 'whole number'  # named by argparse's errors

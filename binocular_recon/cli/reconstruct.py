@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar='DIR',
-        help='folder for NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, summary.json; those'
-        ' of an earlier run are replaced',
+        help='folder for NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, summary.json;'
+        ' those of an earlier run are replaced',
     )
     parser.add_argument(
         '--every', type=positive(int), default=1, metavar='N', help='take every Nth pair only'
@@ -111,7 +111,30 @@ def run(args: argparse.Namespace) -> None:
         max_frames=args.max_frames,
         pictures=args.pictures,
     )
+    _check_input_options(args)
     print(reconstruct_bag(source, args.output, args.preset, chain_config(args)))
+
+
+def _check_input_options(args: argparse.Namespace) -> None:
+    """Raise a ConfigError if an option would have no effect beside the others."""
+    if args.left_image is None:
+        for flag, value in (
+            ('--left-info and --right-info', args.left_info),
+            ('--rectified', args.rectified),
+        ):
+            if value is not None:
+                raise ConfigError(
+                    f'{flag} without --left-image and --right-image say nothing; give these too'
+                )
+    elif args.namespace is not None:
+        raise ConfigError(
+            '--namespace looks for the topics that --left-image and --right-image name;'
+            ' leave one of them out'
+        )
+    if args.calibration is not None and args.left_info is not None:
+        raise ConfigError(
+            '--calibration replaces what --left-info and --right-info name; leave one of them out'
+        )
 
 
 def _both(args: argparse.Namespace, kind: str) -> tuple[str, str] | None:

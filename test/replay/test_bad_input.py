@@ -35,6 +35,8 @@ from test.bag_tools import (
 
 # The test pictures have 6 px of disparity; a small range is quick.
 RANGE = ['--disparity-range', '16']
+IMAGES = ['--left-image', '/left/image_raw', '--right-image', '/right/image_raw']
+INFOS = ['--left-info', '/left/camera_info', '--right-info', '/right/camera_info']
 
 
 def reconstruct(bag: Path, output: Path, *words: str) -> int:
@@ -299,6 +301,10 @@ def test_an_interruption_keeps_the_finished_frames(tmp_path: Path) -> None:
         (['--left-image', '/a'], '--left-image and --right-image belong together'),
         (['--left-info', '/a'], '--left-info and --right-info belong together'),
         (['--alpha', '3'], 'alpha must be -1'),
+        (INFOS, '--left-info and --right-info without --left-image and --right-image say nothing'),
+        (['--no-rectified'], '--rectified without --left-image and --right-image say nothing'),
+        ([*IMAGES, '--namespace', 'rig'], '--namespace looks for the topics that --left-image'),
+        ([*IMAGES, *INFOS, '--calibration', 'rig'], '--calibration replaces what --left-info'),
     ],
 )
 def test_options_that_do_not_go_together_are_wrong_usage(

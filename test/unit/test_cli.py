@@ -60,7 +60,14 @@ def test_help_names_the_commands_and_imports_nothing_slow() -> None:
 
 
 @pytest.mark.parametrize(
-    'words', [[], ['nonsense'], ['match', 'l.png'], ['play', 'b', '--rate', '0']]
+    'words',
+    [
+        [],
+        ['nonsense'],
+        ['match', 'l.png'],
+        *(['play', 'b', '--rate', rate] for rate in ('0', 'inf', 'nan')),
+        ['reconstruct', 'b', '--output', 'o', '--approximate-sync-tolerance-seconds', 'inf'],
+    ],
 )
 def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
@@ -242,7 +249,7 @@ def test_match_complains_about_the_pictures(
         ([pair[0], str(tmp_path / 'gone.png'), *out], 1, 'gone.png cannot be read'),
         ([*pair, *out], 1, '(72, 96) and right (72, 93)'),
         ([pair[0], pair[0], '--output', str(tmp_path / 'file/d.pfm')], 1, 'file'),
-        ([*pair, *out, '--min-disparity', '16'], 2, 'at least the smallest disparity, 16 px'),
+        ([*pair, *out, '--min-disparity', '15'], 2, 'above the smallest disparity, 15 px, got 15'),
     ):
         assert main(['match', *words, *common]) == status
         text = capsys.readouterr().err

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.kernel
 
 @pytest.mark.parametrize(
     ('first', 'count', 'expected'),
-    [(0, 64, (0, 33)), (-7, 16, (-4, 9)), (5, 1, (2, 2)), (-3, 4, (-2, 3))],
+    [(0, 64, (0, 33)), (-7, 16, (-4, 9)), (5, 2, (2, 2)), (4, 2, (2, 2)), (-3, 4, (-2, 3))],
 )
 def test_half_range_covers_the_whole_one(
     first: int, count: int, expected: tuple[int, int]
