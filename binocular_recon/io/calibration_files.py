@@ -14,14 +14,13 @@ from binocular_recon.calibration.report import render_report
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.errors import FileError
 from binocular_recon.io.board_pictures import board_pictures
-from binocular_recon.io.calibration_yaml import write_rig
+from binocular_recon.io.calibration_yaml import PENDING, write_rig
 from binocular_recon.io.files import complete_file, flush, make_folder, write_json
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
 PREVIOUS = 'previous'
-# A new calibration lies in the first folder until it is complete, and in the second one until
-# all its files have taken their places.
-_PARTIAL, _COMPLETE = '.calibration.part', '.calibration.new'
+# A new calibration lies here until it is complete, then in `PENDING`.
+_PARTIAL = '.calibration.part'
 
 
 def save_calibration(
@@ -71,7 +70,7 @@ def save_calibration(
         for path in partial.iterdir():
             flush(path)
         flush(partial)
-        partial.rename(folder / _COMPLETE)
+        partial.rename(folder / PENDING)
     except OSError as error:
         raise _failure(folder, error) from error
     finish_saving(folder)
@@ -81,7 +80,7 @@ def save_calibration(
 def finish_saving(folder: Path) -> None:
     """Put a calibration in place whose saving was interrupted; does nothing if none was.
 
-    Readers of the folder call it first.
+    `read_rig` reads what was saved last without it.
 
     Raises
     ------
@@ -89,7 +88,7 @@ def finish_saving(folder: Path) -> None:
         If the files cannot be moved.
 
     """
-    complete = folder / _COMPLETE
+    complete = folder / PENDING
     if not complete.is_dir():
         return
     previous = folder / PREVIOUS

@@ -21,6 +21,9 @@ _MATRICES = (
     'projection_matrix',
 )
 
+# A new calibration lies here, under its folder, until all its files have taken their places.
+PENDING = '.calibration.new'
+
 
 def read_camera(path: Path) -> Camera:
     """Read a camera file.
@@ -56,8 +59,17 @@ def read_camera(path: Path) -> Camera:
 
 
 def read_rig(folder: Path) -> StereoRig:
-    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as of `read_camera`."""
-    return StereoRig(read_camera(folder / 'left.yaml'), read_camera(folder / 'right.yaml'))
+    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as of `read_camera`.
+
+    Where saving was interrupted, what was saved last is read, and nothing is moved.
+    """
+    left, right = (
+        read_camera(next((path for path in places if path.exists()), places[-1]))
+        for places in (
+            (folder / PENDING / name, folder / name) for name in ('left.yaml', 'right.yaml')
+        )
+    )
+    return StereoRig(left, right)
 
 
 def write_camera(path: Path, camera: Camera, name: str) -> None:

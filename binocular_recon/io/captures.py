@@ -9,6 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+
 from binocular_recon._jit import thread_count
 from binocular_recon.calibration.detection import detect_rods
 from binocular_recon.calibration.rods import Capture, RodBoard
@@ -21,11 +23,12 @@ SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm')
 
 @dataclass(frozen=True)
 class BoardFiles:
-    """The two pictures of one board; None where one is missing."""
+    """The two pictures of one board; None where there is not exactly one, as ``problem`` says."""
 
     name: str
     left: Path | None
     right: Path | None
+    problem: str = ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,31 +85,52 @@ def find_boards(folder: Path) -> list[BoardFiles]:
     """
     if not folder.is_dir():
         raise FileError(f'{folder} is no folder; give the folder with the pictures of the boards')
-    sides: dict[str, dict[str, Path]] = {'left': {}, 'right': {}}
-    for path in sorted(folder.iterdir()):
-        side, _, name = path.stem.partition('_')
-        if side in sides and name and path.suffix.lower() in SUFFIXES:
-            sides[side][name] = path
-    names = sorted(sides['left'] | sides['right'])
-    if not names:
+    boards = list_boards(folder)
+    if not boards:
         raise FileError(
             f'{folder} holds no pictures of boards; they must be named left_NAME.png and'
             ' right_NAME.png with the same NAME'
         )
-    return [BoardFiles(name, sides['left'].get(name), sides['right'].get(name)) for name in names]
+    return boards
+
+
+def list_boards(folder: Path) -> list[BoardFiles]:
+    """List the boards of a folder that exists by name; there may be none."""
+    found: dict[str, dict[str, list[Path]]] = {}
+    for path in sorted(folder.iterdir()):
+        side, _, name = path.stem.partition('_')
+        if side in ('left', 'right') and name and path.suffix.lower() in SUFFIXES:
+            found.setdefault(name, {'left': [], 'right': []})[side].append(path)
+    return [_board_files(name, sides) for name, sides in sorted(found.items())]
+
+
+def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
+    problems = [f'there is no {side} picture' for side, paths in sides.items() if not paths]
+    problems += [
+        f'there are {len(paths)} {side} pictures ({", ".join(path.name for path in paths)});'
+        ' keep one'
+        for side, paths in sides.items()
+        if len(paths) > 1
+    ]
+    left, right = (paths[0] if len(paths) == 1 else None for paths in sides.values())
+    return BoardFiles(name, left, right, '; '.join(problems))
 
 
 def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
     """Detect the rods in both pictures of a board; what is wrong is told, not raised."""
     pair, sizes = [], []
-    for side, path in (('left', files.left), ('right', files.right)):
-        if path is None:
-            return BoardReading(files, None, None, f'there is no {side} picture')
+    if files.left is None or files.right is None:
+        return BoardReading(files, None, None, files.problem)
+    for path in (files.left, files.right):
         try:
             image = read_image_file(path)
             pair.append(detect_rods(image[..., :3] if image.ndim == 3 else image, board))
         except BinocularReconError as error:
             return BoardReading(files, None, None, str(error))
+        except (cv2.error, ValueError) as error:
+            # whatever is in one picture, the other boards are read
+            reason = f'{path} cannot be searched for rods: {error}'
+            return BoardReading(files, None, None, reason)
         sizes.append((image.shape[1], image.shape[0]))
     if sizes[0] != sizes[1]:
         reason = (
@@ -148,13 +172,26 @@ def read_captures(
         If no board could be found in any pair of pictures.
 
     """
+    return capture_set(read_boards(find_boards(folder), board, told), folder)
+
+
+def read_boards(
+    boards: Sequence[BoardFiles],
+    board: RodBoard,
+    told: Callable[[BoardReading], None] | None = None,
+) -> list[BoardReading]:
+    """Detect the rods in the pictures of boards; what ``told`` raises ends it early."""
     readings = []
     with ThreadPoolExecutor(thread_count()) as pool:
-        for reading in pool.map(lambda files: read_board(files, board), find_boards(folder)):
-            readings.append(reading)
-            if told is not None:
-                told(reading)
-    return capture_set(readings, folder)
+        try:
+            for reading in pool.map(lambda files: read_board(files, board), boards):
+                readings.append(reading)
+                if told is not None:
+                    told(reading)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return readings
 
 
 def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:

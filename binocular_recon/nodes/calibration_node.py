@@ -18,10 +18,9 @@ from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from binocular_recon.calibration.detection import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.rods import Capture, load_rods
-from binocular_recon.calibration.screening import complaint, displacement_px
+from binocular_recon.calibration.screening import complaint
 from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.target import Target
 from binocular_recon.camera import Camera
@@ -32,29 +31,30 @@ from binocular_recon.errors import (
     ConfigError,
     ImageError,
 )
-from binocular_recon.images import Image as Picture
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_files import finish_saving, save_calibration
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.capture_store import CaptureStore
 from binocular_recon.io.detection_image import draw_detections
-from binocular_recon.io.messages import fill_camera_info, fill_image, read_image, stamp_ns
+from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
 from binocular_recon.nodes.calibration_steps import (
     Alone,
+    check_still,
     compile_kernels,
+    detect_pair,
     missing_words,
     row_words,
+    size_words,
     summary,
 )
 from binocular_recon.nodes.endpoints import Input, Output
-from binocular_recon.nodes.options import CalibrationOptions, InputOptions
+from binocular_recon.nodes.newest_pair import NewestPair, Pair
+from binocular_recon.nodes.options import InputOptions
 from binocular_recon.nodes.running import run_node
 from binocular_recon.nodes.stereo_node import StereoNode
 
 # How long a capture waits for a second pair, to see whether everything stands still.
 _STILL_WITHIN_S = 1.0
-# Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
-_STILL_PX = 0.5
 _SET_CAMERA_INFO_WITHIN_S = 5.0
 # Calls that can be under way at once, besides the reception of pictures.
 _THREADS = 4
@@ -68,17 +68,11 @@ class RodOptions(Options):
     output: str = option('', 'Folder of the calibration; captures are kept in captures/ under it')
     left_camera_name: str = option('left', 'Name of the left camera in its calibration')
     right_camera_name: str = option('right', 'Name of the right camera in its calibration')
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    left: Picture
-    right: Picture
-    stamp_ns: int
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.left.shape[1], self.left.shape[0]
+    calibration: str = option(
+        '',
+        'Folder with left.yaml and right.yaml; captures tell by how much it misses the rows of'
+        ' their marks. Empty: they do not',
+    )
 
 
 class CalibrationNode(StereoNode):
@@ -92,13 +86,13 @@ class CalibrationNode(StereoNode):
     OUTPUTS = (Output('detections', Image),)
     SERVICES: ClassVar = {
         'capture': 'find the rods in the newest pair and store it',
-        'undo': 'drop the last board',
-        'reset': 'drop all boards',
+        'undo': 'drop the last board; its pictures go to captures/dropped/',
+        'reset': 'drop all boards; their pictures go to captures/dropped/',
         'calibrate': 'calibrate from all boards',
         'save': 'write the calibration and pass it to the cameras',
     }
     LIVE = ()
-    FIXED = (RodOptions, InputOptions, CalibrationOptions)
+    FIXED = (RodOptions, InputOptions)
 
     def __init__(self) -> None:
         super().__init__()
@@ -109,14 +103,14 @@ class CalibrationNode(StereoNode):
         self._board = load_rods(Path(options.rods).expanduser())
         self._target = Target.from_rods(self._board)
         self._output = Path(options.output).expanduser()
-        self._store = CaptureStore(self._output / 'captures', self._board)
+        self._store = CaptureStore(
+            self._output / 'captures', self._board, stopped=lambda: not self.context.ok()
+        )
         finish_saving(self._output)
-        folder = self.options.of(CalibrationOptions).calibration
+        folder = options.calibration
         self._in_use = read_rig(Path(folder).expanduser()) if folder else None
         self._result: CalibrationResult | None = None
-        self._newest: _Pair | None = None
-        self._arrived = threading.Condition()
-        self._captured_ns: int | None = None
+        self._pairs = NewestPair()
         self._storing, self._solving = threading.Lock(), threading.Lock()
         self._preview = self.start_worker(self._show)
         self._setters: dict[str, Any] = {
@@ -132,6 +126,8 @@ class CalibrationNode(StereoNode):
                 Trigger, f'~/{name}', functools.partial(self._serve, job), callback_group=group
             )
         self.health.state('boards', str(len(self._store.names)))
+        # boards of an earlier day, before they are needed
+        self.start_worker(self._read_boards).submit(None)
         self.start()
 
     def needed(self) -> bool:
@@ -140,18 +136,14 @@ class CalibrationNode(StereoNode):
 
     def process(self, left: Image, right: Image) -> None:
         """Keep a pair as the newest one."""
-        pictures = [
-            read_image(message, f'{side} image').image
-            for message, side in ((left, 'left'), (right, 'right'))
-        ]
-        sizes = [f'{picture.shape[1]}x{picture.shape[0]}' for picture in pictures]
-        if sizes[0] != sizes[1]:
-            raise ImageError(f'left image is {sizes[0]}, right {sizes[1]} px; set both alike')
-        with self._arrived:
-            self._newest = _Pair(pictures[0], pictures[1], stamp_ns(left.header))
-            self._arrived.notify_all()
+        try:
+            pair = _read_pair(left, right)
+        except BinocularReconError as error:
+            self._pairs.spoil(str(error))
+            raise
+        self._pairs.put(pair)
         if self.wanted('detections'):
-            self._preview.submit((self._newest, left.header))
+            self._preview.submit((pair, left.header))
 
     def _serve(
         self, job: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
@@ -166,28 +158,35 @@ class CalibrationNode(StereoNode):
             response.message = f'internal error: {traceback.format_exc(limit=-1)}'
         return response
 
+    def _read_boards(self, _job: None) -> None:
+        self._store.usable()
+
     def _capture(self) -> str:
         with Alone(self._storing):
-            pair = self._fresh_pair()
-            found = self._detect(pair)
-            name = f'{len(self._store.names) + 1:03d}'
-            capture = Capture(name, found[0].marks_px, found[1].marks_px)
+            stored = self._store.usable()
+            pair = self._pairs.fresh(self._silence)
+            found = detect_pair(pair, self._board)
+            capture = Capture('new', found[0].marks_px, found[1].marks_px)
             missing = missing_words(found)
-            others = self._store.captures().captures if self._store.names else ()
-            reason = complaint(capture, self._target, pair.size, others)
+            others = stored.captures if stored else ()
+            size = stored.image_size if stored else pair.size
+            reason = size_words(pair.size, size) or complaint(
+                capture, self._target, pair.size, others
+            )
             if reason:
                 raise CalibrationError(f'not captured: {reason}{missing}')
-            self._check_still(pair, capture)
+            later = self._pairs.after(pair, _STILL_WITHIN_S)
+            unsure = check_still(pair, capture, later, self._board)
             name = self._store.add(pair.left, pair.right)
             capture = Capture(name, capture.left_px, capture.right_px)
             self._store.keep(capture, pair.size)
-            self._captured_ns = pair.stamp_ns
+            self._pairs.captured(pair)
             count = len(self._store.names)
             self.health.state('boards', str(count))
             both = found[0].found & found[1].found
             return (
                 f'board {name} captured ({count} so far): {both.sum()} of {both.size} marks in'
-                f' both images{missing}{row_words(self._in_use, capture)}'
+                f' both images{missing}{row_words(self._in_use, capture)}{unsure}'
             )
 
     def _undo(self) -> str:
@@ -196,18 +195,17 @@ class CalibrationNode(StereoNode):
             if not names:
                 raise CalibrationError('there is no board to drop')
             self._store.drop(names[-1:])
-            self._captured_ns = None
+            self._pairs.captured(None)
             self.health.state('boards', str(len(names) - 1))
             return f'board {names[-1]} dropped, {len(names) - 1} left'
 
     def _reset(self) -> str:
         with Alone(self._storing):
-            names = self._store.names
-            if names:
-                self._store.drop(names)
-            self._captured_ns = None
+            count, folder = len(self._store.names), self._store.drop_all()
+            self._pairs.captured(None)
             self.health.state('boards', '0')
-            return f'{len(names)} boards dropped; their pictures are in {self._store.folder}'
+            where = f'; their pictures are in {folder}' if folder else ''
+            return f'{count} boards dropped{where}'
 
     def _calibrate(self) -> str:
         with Alone(self._solving):
@@ -223,6 +221,13 @@ class CalibrationNode(StereoNode):
         with Alone(self._solving):
             if self._result is None:
                 raise CalibrationError('there is nothing to save; calibrate first')
+            used, stored = self._result.names, self._store.names
+            gone = set(used) - set(stored)
+            if gone:
+                raise CalibrationError(
+                    f'{len(gone)} of the {len(used)} boards of the calibration were dropped since;'
+                    ' calibrate again'
+                )
             options = self.options.of(RodOptions)
             names = options.left_camera_name, options.right_camera_name
             save_calibration(self._result, self._output, names, self._store.folder)
@@ -232,60 +237,26 @@ class CalibrationNode(StereoNode):
                 self._tell_camera(side, camera)
                 for side, camera in (('left', rig.left), ('right', rig.right))
             ]
-            return f'saved in {self._output}; {"; ".join(told)}'
+            boards = f'{len(used)} of {len(stored)} boards'
+            return f'saved in {self._output}: {boards}; {"; ".join(told)}'
 
-    def _fresh_pair(self) -> _Pair:
-        """Return the newest pair, which no board shows yet."""
-        with self._arrived:
-            pair = self._newest
-        if pair is None:
-            raise CalibrationError(f'not captured: no synchronised pair yet; {self._why()}')
-        if pair.stamp_ns == self._captured_ns:
-            raise CalibrationError(
-                'not captured: no synchronised pair has come since the last capture; wait for'
-                ' the next one or check the cameras'
-            )
-        return pair
-
-    def _why(self) -> str:
-        """Say why no pair comes."""
+    def _silence(self) -> str:
+        """Say why no pair comes; empty while they do."""
         silent = self.health.silent()
-        if silent:
-            return (
-                f'no messages on {", ".join(topic for topic in silent if topic in self._inputs)}'
-            )
-        return self.explain_missing_sets()
+        topics = [topic for topic in silent if topic in self._inputs]
+        if topics:
+            return f'no messages on {", ".join(topics)}'
+        return self.explain_missing_sets() if silent else ''
 
-    def _check_still(self, pair: _Pair, capture: Capture) -> None:
-        """Raise a CalibrationError if the next pair shows the marks elsewhere."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: self._newest is not pair, _STILL_WITHIN_S)
-            later = self._newest
-        if later is None or later is pair:
-            return
-        left, right = self._detect(later)
-        moved_px = displacement_px(capture, Capture('later', left.marks_px, right.marks_px))
-        if moved_px > _STILL_PX:
-            seconds = (later.stamp_ns - pair.stamp_ns) / 1e9
-            raise CalibrationError(
-                f'not captured: the marks moved by {moved_px:.1f} px within {seconds:.2f} s; wait'
-                ' until rods and cameras stand still'
-            )
-
-    def _detect(self, pair: _Pair) -> tuple[Detection, Detection]:
-        left, right = (
-            detect_rods(image[..., :3] if image.ndim == 3 else image, self._board)
-            for image in (pair.left, pair.right)
-        )
-        return left, right
-
-    def _show(self, job: tuple[_Pair, Header]) -> None:
+    def _show(self, job: tuple[Pair, Header]) -> None:
         """Publish a pair with what is found in it, in the preview's thread."""
         pair, header = job
         try:
             pictures = to_bgr8(pair.left), to_bgr8(pair.right)
             message = Image()
-            fill_image(message, draw_detections(pictures, self._detect(pair)), 'bgr8', header)
+            fill_image(
+                message, draw_detections(pictures, detect_pair(pair, self._board)), 'bgr8', header
+            )
             if self.context.ok():
                 self.publish('detections', message)
         except BinocularReconError as error:
@@ -306,7 +277,19 @@ class CalibrationNode(StereoNode):
             client.remove_pending_request(future)
             return f'{service} did not answer within {_SET_CAMERA_INFO_WITHIN_S:g} s'
         answer: Any = future.result()
-        return f'{service} {"took it" if answer.success else "refused"} {answer.status_message}'
+        words = f': {answer.status_message}' if answer.status_message else ''
+        return f'{service} {"took it" if answer.success else "refused"}{words}'
+
+
+def _read_pair(left: Image, right: Image) -> Pair:
+    pictures = [
+        read_image(message, f'{side} image').image
+        for message, side in ((left, 'left'), (right, 'right'))
+    ]
+    sizes = [f'{picture.shape[1]}x{picture.shape[0]}' for picture in pictures]
+    if sizes[0] != sizes[1]:
+        raise ImageError(f'left image is {sizes[0]}, right {sizes[1]} px; set both alike')
+    return Pair(pictures[0], pictures[1])
 
 
 def main() -> int:

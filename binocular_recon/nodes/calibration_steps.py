@@ -11,9 +11,14 @@ import numpy as np
 from binocular_recon.calibration.detection import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.rods import Capture, RodBoard
+from binocular_recon.calibration.screening import displacement_px
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import BinocularReconError
+from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.nodes.newest_pair import Pair
 from binocular_recon.stereo.rectification import rectified_points
+
+# Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
+STILL_PX = 0.5
 
 
 class Alone:
@@ -60,6 +65,54 @@ def summary(result: CalibrationResult) -> str:
         f' depth sigma {depth_mm:.0f} mm at 15 m'
         f'{"; " + left_out if left_out else ""}{advice}'
     )
+
+
+def detect_pair(pair: Pair, board: RodBoard) -> tuple[Detection, Detection]:
+    """Find the rods in both pictures."""
+    left, right = (
+        detect_rods(image[..., :3] if image.ndim == 3 else image, board)
+        for image in (pair.left, pair.right)
+    )
+    return left, right
+
+
+def check_still(pair: Pair, capture: Capture, later: Pair | None, board: RodBoard) -> str:
+    """Compare the marks of a capture with those of a later pair, None if none came.
+
+    Returns
+    -------
+    words : str
+        Empty if everything stands still, or that this could not be seen.
+
+    Raises
+    ------
+    CalibrationError
+        If the marks have moved or are not found any more.
+
+    """
+    if later is None:
+        return '; no other pair came, so whether rods and cameras stood still was not seen'
+    seconds = later.arrived_s - pair.arrived_s
+    left, right = detect_pair(later, board)
+    moved_px = displacement_px(capture, Capture('later', left.marks_px, right.marks_px))
+    if moved_px <= STILL_PX:
+        return ''
+    what = (
+        f'the marks were not found again {seconds:.2f} s later'
+        if np.isnan(moved_px)
+        else f'the marks moved by {moved_px:.1f} px within {seconds:.2f} s'
+    )
+    raise CalibrationError(f'not captured: {what}; wait until rods and cameras stand still')
+
+
+def size_words(size: tuple[int, int], stored: tuple[int, int]) -> str:
+    """Say that pictures differ in size from those of the boards before; empty if they do not."""
+    if size == stored:
+        return ''
+    return (
+        '{}x{} px, but the boards before have {}x{} px; set the cameras as they were, or reset and'
+        ' begin again'
+    ).format(*size, *stored)
 
 
 def missing_words(found: tuple[Detection, Detection]) -> str:

@@ -16,6 +16,7 @@ from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from binocular_recon.calibration.rods import save_rods
+from binocular_recon.io.calibration_files import FILES
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.simulation.capture import CaptureOptions, SimulatedCapture, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
@@ -149,6 +150,28 @@ def test_a_crew_calibrates(graph: Graph, start_node: StartNode, tmp_path: Path) 
     assert [len(infos) for infos in taken.values()] == [1, 1]
     np.testing.assert_allclose(taken['right'][0].p, rig.right.P.ravel(), rtol=1e-12)
     assert 'camera_name: port' in (output / 'left.yaml').read_text()
+    assert f'{BOARDS} of {BOARDS} boards' in answer.message
+
+    before = {name: (output / name).read_bytes() for name in FILES}
+    answer = field.call('save')
+    assert answer.success, answer.message
+    assert 'left/set_camera_info took it' in answer.message
+    assert 'right/set_camera_info refused: the flash is locked' in answer.message
+    assert {name: (output / 'previous' / name).read_bytes() for name in FILES} == before
+
+    answer = field.capture(first.left, first.right[::2, ::2])
+    assert not answer.success
+    assert 'left image is 960x600, right 480x300 px; set both alike' in answer.message
+
+    answer = field.call('reset')
+    assert answer.success and f'{BOARDS} boards dropped; their pictures are in' in answer.message
+    dropped = Path(answer.message.partition(' are in ')[2])
+    assert len(list(dropped.iterdir())) == 2 * BOARDS
+    assert [path.name for path in (output / 'captures').iterdir()] == ['dropped']
+    answer = field.call('save')
+    assert not answer.success
+    assert f'{BOARDS} of the {BOARDS} boards of the calibration were dropped' in answer.message
+    assert read_rig(output).baseline_m == rig.baseline_m
     assert node.stop() == 0
     for service in services:
         graph.do(partial(graph.node.destroy_service, service))
@@ -204,7 +227,9 @@ def test_node_refuses_to_start(
 def _offer_set_camera_info(graph: Graph, side: str, taken: list[CameraInfo]) -> Any:
     def answer(request: Any, response: Any) -> Any:
         taken.append(request.camera_info)
-        response.success = True
+        response.success = side == 'left' or len(taken) == 1
+        if not response.success:
+            response.status_message = 'the flash is locked'
         return response
 
     return graph.node.create_service(SetCameraInfo, f'/rig/{side}/set_camera_info', answer)

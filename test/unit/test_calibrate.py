@@ -18,7 +18,7 @@ from binocular_recon.cli.main import main
 from binocular_recon.evaluation import calibration_check
 from binocular_recon.evaluation.calibration_check import AccuracyRow, RowsRow
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.captures import find_boards, read_captures
+from binocular_recon.io.captures import find_boards, read_board, read_captures
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
@@ -170,6 +170,16 @@ def test_boards_are_found_by_name(tmp_path: Path) -> None:
         (board.name, board.left is None, board.right is None) for board in find_boards(tmp_path)
     ]
     assert found == [('a', True, False), ('b', False, False)]
+
+
+def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
+    for name in ('left_1.png', 'left_1.jpg', 'right_1.png'):
+        (tmp_path / name).write_bytes(b'')
+    (files,) = find_boards(tmp_path)
+    assert files.left is None and files.right is not None
+    reading = read_board(files, BOARD)
+    assert reading.capture is None
+    assert reading.reason == 'there are 2 left pictures (left_1.jpg, left_1.png); keep one'
 
 
 def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
