@@ -13,7 +13,7 @@ from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage
+from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo._layout_kernels import is_whole, lay_out_strip
 from binocular_recon.stereo._ncc_kernels import Pair
 
@@ -53,11 +53,11 @@ def exposure_gain(left: FloatImage) -> float:
     return _mean_and_gain(left)[1]
 
 
-def even_levels(left: FloatImage) -> FloatImage:
-    """Return grey levels of mean 0 and the same contrast whatever the exposure; 0 = no data."""
+def even_levels(left: FloatImage) -> ByteImage:
+    """Return bytes of mean 128 and the same contrast whatever the exposure; 0 = no data."""
     mean, gain = _mean_and_gain(left)
-    levels: FloatImage = cv2.patchNaNs((left - np.float32(mean)) * np.float32(gain), 0)
-    return levels
+    levels = cv2.addWeighted(left, gain, left, 0, 128 - mean * gain, dtype=cv2.CV_8U)
+    return np.asarray(levels, np.uint8)
 
 
 def _mean_and_gain(left: FloatImage) -> tuple[float, float]:

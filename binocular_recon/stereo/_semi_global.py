@@ -13,7 +13,6 @@ from binocular_recon.stereo._cost_kernels import CostSource
 from binocular_recon.stereo._layout import even_levels, exposure_gain, lay_out, padded_range
 
 # Grey levels below are `even_levels`: they do not change with the exposure.
-MIDDLE_GREY = 128
 # Standard deviation of the pictures' noise: texture below it tells little.
 NOISE = 2.0
 # P2 falls with the step of grey level that a change of disparity goes with: P2 up to
@@ -48,7 +47,7 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
     )
-    levels = (even_levels(left) + MIDDLE_GREY).clip(0, 255).astype(np.uint8)
+    levels = even_levels(left)
     penalties = _penalties(config)
     over_strips(
         lambda start, stop: match_strip(source, levels, penalties, decision, start, stop),

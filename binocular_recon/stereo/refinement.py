@@ -9,7 +9,7 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo._layout import even_levels
+from binocular_recon.stereo._layout import exposure_gain
 from binocular_recon.stereo._refinement_kernels import (
     BORDER,
     MEDIAN_BORDER,
@@ -58,13 +58,14 @@ def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, Floa
     """
     height, width = disparity_px.shape
     filled = cv2.medianBlur(fill_from_background(disparity_px), 5)
-    levels = even_levels(left)
+    # levels of a picture whose contrast does not change with the exposure
+    softness = SAME_OBJECT_LEVELS / exposure_gain(left)
     values = _inside(filled, filled, MEDIAN_BORDER)
-    guide = _inside(levels, levels, MEDIAN_BORDER)
+    guide = _inside(left, left, MEDIAN_BORDER)
     median = np.empty((height, width + LANES), np.float32)
     over_strips(
         lambda start, stop: weighted_median_strip(
-            values, guide, SAME_OBJECT_LEVELS, WRONG_PX, median, start, stop
+            values, guide, softness, WRONG_PX, median, start, stop
         ),
         height,
     )
