@@ -42,7 +42,10 @@ def test_readme_states_the_defaults_of_real_parameters() -> None:
 
     groups = [value for value in vars(options).values() if dataclasses.is_dataclass(value)]
     groups += [type(group) for group in vars(ChainConfig()).values()]
-    defaults = {s.name: s.default for group in groups for s in dataclasses.fields(group)}
+    # what a group changes of the one that it is derived from is stated in words
+    late = options.LateInputOptions()
+    assert f'{late.queue_size} in `wls_filter_node`' in README
+    defaults = {s.name: s.default for g in reversed(groups) for s in dataclasses.fields(g)}
     table = README.partition('| parameter |')[2].partition('\n\n')[0]
     rows = [line.split('|')[1:3] for line in table.splitlines()[2:]]
     assert len(rows) >= 5

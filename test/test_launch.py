@@ -144,6 +144,7 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
         'max_depth': '30',
         'use_color': 'false',
         'image_transport': 'compressed',
+        'queue_size': '80',
         'calibration': '/home/me/rig',
         'use_sim_time': 'true',
         'params_file': 'mine.yaml',
@@ -160,12 +161,14 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
         'rectify_node': {
             'alpha': 0,
             'image_transport': 'compressed',
+            'queue_size': 80,
             'calibration': '/home/me/rig',
             'use_sim_time': True,
         },
         'match_node': {'preset': 'paper', 'disparity_range': 64, 'use_sim_time': True},
         'wls_filter_node': {
             'preset': 'paper',
+            'queue_size': 80,
             'max_depth': 30,
             'use_color': False,
             'use_sim_time': True,

@@ -1,53 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter takes what other matchers publish."""
+"""The filter takes what other matchers publish, however late, and refuses what is wrong."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.images import to_grey
 from binocular_recon.io.disparity_messages import fill_disparity, read_disparity
+from binocular_recon.io.messages import stamp_ns
 from binocular_recon.stereo.filtering import filter_disparity
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.rectification import Rectifier
 from test import stereo_image_proc
+from test.system.chain import reliable
 from test.system.conftest import StartNode
-from test.system.graph import Graph
-from test.system.rig import SIDES, header, image_message, info_message, pictures, raw_rig
+from test.system.graph import Graph, NodeProcess, wait_until
+from test.system.rig import (
+    SIDES,
+    compressed_message,
+    header,
+    image_message,
+    info_message,
+    pictures,
+    raw_rig,
+)
 
 CONFIG = MatchConfig(min_disparity=-32, disparity_range=88)
-INPUTS = ('left/image_rect', 'left/camera_info', 'right/camera_info', 'disparity')
+WLS: tuple[str, type[DisparityImage]] = ('/rig/disparity_wls', DisparityImage)
+KINDS: dict[str, type[Any]] = {
+    'left/image_rect/compressed': CompressedImage,
+    'left/camera_info': CameraInfo,
+    'right/camera_info': CameraInfo,
+    'disparity': DisparityImage,
+    'confidence': Image,
+}
+REQUIRED = list(KINDS)[:4]
 
 
 class Matcher:
-    """A rectifier and a matcher that publish no confidence."""
+    """A rectifier and a matcher that publish a compressed picture and, at first, no confidence."""
 
-    def __init__(self, graph: Graph) -> None:
-        kinds = (Image, CameraInfo, CameraInfo, DisparityImage)
-        self.publishers = [
-            graph.publisher(f'/rig/{topic}', kind)
-            for topic, kind in zip(INPUTS, kinds, strict=True)
-        ]
+    def __init__(self, graph: Graph, node: NodeProcess) -> None:
+        self._graph, self.node = graph, node
 
-    def send(
-        self, index: int, left: np.ndarray, rig: Rectifier, disparity: DisparityImage
-    ) -> None:
-        cameras = rig.rig.left, rig.rig.right
-        infos = [info_message(c, header(index, s)) for c, s in zip(cameras, SIDES, strict=True)]
-        disparity.header = header(index)
-        messages = [image_message(left, header(index)), *infos, disparity]
-        for publisher, message in zip(self.publishers, messages, strict=True):
-            publisher.publish(message)
+    def send(self, **messages: Any) -> None:
+        for topic, message in messages.items():
+            self._graph.publisher(f'/rig/{topic}', KINDS[topic]).publish(message)
+
+    def wait_for_filter(self) -> None:
+        for topic in REQUIRED:
+            self._graph.publisher(f'/rig/{topic}', KINDS[topic])
+        self._graph.wait_for_subscriber(*(f'/rig/{topic}' for topic in REQUIRED))
+
+
+def messages(
+    index: int, left: np.ndarray, rectify: Rectifier, disparity: DisparityImage
+) -> dict[str, Any]:
+    """Return a frame by topic."""
+    cameras = rectify.rig.left, rectify.rig.right
+    infos = [info_message(c, header(index, s)) for c, s in zip(cameras, SIDES, strict=True)]
+    disparity.header = header(index)
+    frame = [compressed_message(left, header(index)), *infos, disparity]
+    return dict(zip(REQUIRED, frame, strict=True))
 
 
 @pytest.fixture(scope='module')
 def matcher(graph: Graph, start_node: StartNode) -> Matcher:
-    start_node('wls_filter_node')
-    return Matcher(graph)
+    node = start_node('wls_filter_node', image_transport='compressed', **reliable(list(KINDS)))
+    return Matcher(graph, node)
 
 
 @pytest.mark.parametrize('sender', ['stereo_image_proc', 'ours'])
@@ -68,9 +97,9 @@ def test_disparity_of_either_convention(
     else:
         low, high = CONFIG.limits_px
         stereo_image_proc.fill(message, raw, rectify.rig, (int(low), int(high)))
-    with graph.listening(('/rig/disparity_wls', DisparityImage)) as (inbox,):
-        graph.wait_for_subscriber(*(f'/rig/{topic}' for topic in INPUTS))
-        matcher.send(0, left, rectify, message)
+    with graph.listening(WLS) as (inbox,):
+        matcher.wait_for_filter()
+        matcher.send(**messages(0, left, rectify, message))
         answer = inbox.wait()[0]
     expected = filter_disparity(
         raw.astype(np.float32),
@@ -84,3 +113,130 @@ def test_disparity_of_either_convention(
     assert answer.delta_d == pytest.approx(message.delta_d)
     window = answer.valid_window
     assert (window.width, window.height) == (left.shape[1], left.shape[0])
+
+
+RECTIFY = Rectifier(raw_rig())
+LEFT, RIGHT = RECTIFY(*pictures(5))
+MATCH = match(to_grey(LEFT), to_grey(RIGHT), CONFIG)
+
+
+def disparity(**members: Any) -> DisparityImage:
+    """Return the disparities of `LEFT`; ``members`` replaces some of their picture's."""
+    message = DisparityImage()
+    fill_disparity(
+        message, MATCH.disparity_px, RECTIFY.rig, CONFIG.limits_px, header(0), step_px=1 / 64
+    )
+    for name, value in members.items():
+        setattr(message.image, name, value)
+    return message
+
+
+def test_pictures_wait_for_a_slow_matcher(graph: Graph, matcher: Matcher) -> None:
+    """At 30 Hz, each fifth picture's disparity comes ten pictures later: none is lost."""
+    with graph.listening(WLS) as (inbox,):
+        matcher.wait_for_filter()
+        begun_s = time.monotonic()
+        for k in range(36):
+            time.sleep(max(0.0, begun_s + k / 30 - time.monotonic()))
+            frame = messages(100 + k, LEFT, RECTIFY, disparity())
+            del frame['disparity']
+            matcher.send(**frame)
+            if k >= 10 and k % 5 == 0:
+                late = messages(90 + k, LEFT, RECTIFY, disparity())
+                matcher.send(disparity=late['disparity'])
+        inbox.wait(6)
+    stamps = [stamp_ns(message.header) for message in inbox.messages]
+    assert stamps == [stamp_ns(header(100 + k)) for k in range(0, 30, 5)]
+
+
+def small_picture(index: int) -> CompressedImage:
+    return compressed_message(LEFT[:60, :80], header(index))
+
+
+def no_picture(index: int) -> CompressedImage:
+    return CompressedImage(header=header(index), format='mono8; png compressed ')
+
+
+BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
+    'disparity of another type': (
+        'disparity',
+        lambda _: disparity(encoding='16UC1', step=320),
+        "disparity has encoding '16UC1'; it must be 32FC1",
+    ),
+    'short disparity': (
+        'disparity',
+        lambda _: disparity(data=bytes(100)),
+        'disparity holds 100 bytes, step x height is 640 x 120',
+    ),
+    'disparity of another size': (
+        'disparity',
+        lambda _: disparity(width=80, height=60),
+        'disparity image is 80x60 px, its calibration is for 160x120',
+    ),
+    'no disparity': (
+        'disparity',
+        lambda _: disparity(data=np.full((120, 160), np.nan, np.float32).tobytes()),
+        'no pixel has a disparity within -32..55 px and a confidence above 0',
+    ),
+    'picture of another size': (
+        'left/image_rect/compressed',
+        small_picture,
+        'left image is 80x60 px, its calibration is for 160x120',
+    ),
+    'empty picture': (
+        'left/image_rect/compressed',
+        no_picture,
+        'left image cannot be decoded: 0 bytes',
+    ),
+    'confidence of another type': (
+        'confidence',
+        lambda i: image_message(LEFT, header(i)),
+        "confidence has encoding 'mono8'; it must be 32FC1",
+    ),
+    'confidence of another size': (
+        'confidence',
+        lambda i: image_message(MATCH.confidence[:60], header(i), '32FC1'),
+        'disparity is (120, 160) and confidence (60, 160) (rows, columns)',
+    ),
+}
+
+
+def test_bad_input_is_refused_and_good_used(graph: Graph, matcher: Matcher) -> None:
+    """Its confidence makes the matcher ours; the last test, for it stays."""
+    expected = filter_disparity(
+        MATCH.disparity_px,
+        MATCH.confidence,
+        to_grey(LEFT),
+        FilterConfig(),
+        limits_px=CONFIG.limits_px,
+    )
+    with graph.listening(WLS) as (inbox,):
+        matcher.wait_for_filter()
+        graph.publisher('/rig/confidence', Image)
+        graph.wait_for_subscriber('/rig/confidence')
+        good = []
+        for number, (name, (topic, make, text)) in enumerate(BAD.items()):
+            for index in (200 + 2 * number, 201 + 2 * number):
+                frame = messages(index, LEFT, RECTIFY, disparity())
+                frame['confidence'] = image_message(MATCH.confidence, header(index), '32FC1')
+                if index % 2 == 0:
+                    frame[topic] = make(index)
+                    frame[topic].header = header(index)
+                matcher.send(**frame)
+                if index % 2 == 0:
+                    wait_until(partial(_holds, matcher.node, text), f'{text!r} in the log')
+            good.append(stamp_ns(header(index)))
+            inbox.wait(len(good))
+            assert [stamp_ns(message.header) for message in inbox.messages] == good, name
+        status = graph.wait_for_status('/rig/wls_filter_node', text)
+    for message in inbox.messages:
+        read = read_disparity(message, RECTIFY.rig)
+        np.testing.assert_allclose(read.disparity_px, expected.disparity_px, atol=1e-3)
+    assert status.level == status.ERROR
+    values = {item.key: item.value for item in status.values}
+    assert values['dropped: bad input'] == str(len(BAD))
+    assert 'Traceback' not in matcher.node.text()
+
+
+def _holds(node: NodeProcess, text: str) -> bool:
+    return text in node.text()
