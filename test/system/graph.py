@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -48,20 +49,28 @@ def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = TIMEO
     raise AssertionError(f'not within {timeout_s:g} s: {what}')
 
 
-class NodeProcess:
-    """A node's executable, started by the interpreter's environment that runs the test."""
+def executable(name: str) -> str:
+    """Return the path of a node: in the workspace that is sourced, else beside the interpreter."""
+    prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    installed = [Path(prefix, 'lib', 'binocular_recon', name) for prefix in prefixes if prefix]
+    paths = [*installed, Path(sys.executable).parent / name]
+    return str(next((path for path in paths if path.exists()), paths[-1]))
 
-    def __init__(self, executable: str, log: Path, **parameters: object) -> None:
+
+class NodeProcess:
+    """A node's process; its log goes to a file."""
+
+    def __init__(self, name: str, log: Path, **parameters: object) -> None:
         remaps = parameters.pop('remaps', {})
         namespace = parameters.pop('namespace', '/rig')
         assert isinstance(remaps, dict)
-        command = [str(Path(sys.executable).parent / executable), '--ros-args']
+        command = [executable(name), '--ros-args']
         command += ['-r', f'__ns:={namespace}']
         for source, target in remaps.items():
             command += ['-r', f'{source}:={target}']
-        for name, value in parameters.items():
+        for parameter, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
-            command += ['-p', f'{name}:={text}']
+            command += ['-p', f'{parameter}:={text}']
         self.log = log
         with log.open('wb') as file:
             self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import functools
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,9 +23,8 @@ from binocular_recon.io.bag_writer import BagWriter
 from binocular_recon.io.bags import Bag, TopicQos
 from binocular_recon.nodes.play_bag import Player
 from test.bag_tools import PERIOD_NS, START_NS, info_message, rig, stereo_records, write_bag
-from test.system.graph import Graph, wait_until
+from test.system.graph import Graph, executable, wait_until
 
-PLAY_BAG = Path(sys.executable).parent / 'play_bag'
 QOS = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 TYPES = {'image_raw': Image, 'camera_info': CameraInfo}
 TOPICS = [f'/{side}/{name}' for side in ('left', 'right') for name in TYPES]
@@ -64,7 +62,7 @@ def play() -> Iterator[Play]:
     started = []
 
     def start(bag: Path, *options: str) -> subprocess.Popen[str]:
-        command = [str(PLAY_BAG), str(bag), *options]
+        command = [executable('play_bag'), str(bag), *options]
         started.append(
             subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         )
