@@ -5,18 +5,35 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
-from binocular_recon.calibration.rods import load_rods
+from binocular_recon.calibration.rods import Capture, RodBoard, load_rods
+from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.solve import solve
+from binocular_recon.calibration.target import Target
+from binocular_recon.cli.options import positive
 from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration_check import self_check
+from binocular_recon.evaluation.timing import peak_bytes
 from binocular_recon.io.calibration_files import save_calibration
 from binocular_recon.io.captures import BoardReading, find_boards, read_captures
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.points_csv import read_points
+
+_Result = TypeVar('_Result')
+
+
+class _Marks(NamedTuple):
+    """What is calibrated from, as `solve` takes it."""
+
+    captures: Sequence[Capture]
+    target: RodBoard | Target
+    size: tuple[int, int]
+    rejected: Sequence[Rejected] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,8 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='instead of calibrating: compare the method with the best possible one on simulated'
         ' boards, and redo the tables of the paper that concern it',
     )  # fmt: skip
-    parser.add_argument('--sets', type=int, default=20, help='of --self-check: sets of boards')
-    parser.add_argument('--draws', type=int, default=5, help='of --self-check: draws per set')
+    parser.add_argument(
+        '--sets', type=positive(int), default=20, help='of --self-check: sets of boards'
+    )
+    parser.add_argument(
+        '--draws', type=positive(int), default=5, help='of --self-check: draws per set'
+    )
     parser.add_argument('--output', type=Path, required=True, help='folder to write to')
 
 
@@ -51,13 +72,19 @@ def run(args: argparse.Namespace) -> None:
         rows = self_check(args.sets, args.draws, lambda line: print(line, flush=True))
         write_json(args.output / 'self_check.json', rows)
         return
-    start = time.monotonic()
-    if (args.captures is None) == (args.points is None):
-        raise ConfigError('give either a folder of pictures or --points FILE.csv')
-    result = _from_points(args) if args.points else _from_pictures(args)
-    files = save_calibration(result, args.output, captures=args.captures)
+    _check(args)
+    marks_of = _marks_of_points if args.points else _marks_of_pictures
+    (captures, target, size, rejected), marks_s = _timed(lambda: marks_of(args))
+    result, solve_s = _timed(lambda: solve(captures, target, size, rejected=rejected))
+    files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
     print(summary(result))
-    print(f'{", ".join(str(path) for path in files)} ({time.monotonic() - start:.1f} s)')
+    print(', '.join(str(path) for path in files))
+    peak = peak_bytes()
+    print(
+        f'{len(captures) + len(rejected)} boards in {marks_s + solve_s + save_s:.1f} s: marks'
+        f' {marks_s:.1f} s, calibration {solve_s:.1f} s, report {save_s:.1f} s'
+        + (f'; at most {peak / 1e6:.0f} MB of memory' if peak else '')
+    )
 
 
 def summary(result: CalibrationResult) -> str:
@@ -88,9 +115,19 @@ def summary(result: CalibrationResult) -> str:
     return '\n'.join(lines)
 
 
-def _from_pictures(args: argparse.Namespace) -> CalibrationResult:
-    if args.rods is None:
+def _check(args: argparse.Namespace) -> None:
+    """Raise a ConfigError for arguments that contradict each other."""
+    if (args.captures is None) == (args.points is None):
+        raise ConfigError('give either a folder of pictures or --points FILE.csv')
+    if args.points and args.rods:
+        raise ConfigError('--rods describes rods in pictures; --points has its own coordinates')
+    if args.captures and args.rods is None:
         raise ConfigError('pictures of rods need --rods rods.yaml')
+    if args.captures and args.image_size:
+        raise ConfigError('--image-size belongs to --points; pictures have their own size')
+
+
+def _marks_of_pictures(args: argparse.Namespace) -> _Marks:
     board = load_rods(args.rods)
     done: list[BoardReading] = []
     with ProgressBar(len(find_boards(args.captures)), 'boards') as bar:
@@ -100,19 +137,30 @@ def _from_pictures(args: argparse.Namespace) -> CalibrationResult:
             bar.show(len(done), reading.reason)
 
         found = read_captures(args.captures, board, told)
-    return solve(found.captures, board, found.image_size, rejected=found.rejected)
+    return _Marks(found.captures, board, found.image_size, found.rejected)
 
 
-def _from_points(args: argparse.Namespace) -> CalibrationResult:
+def _marks_of_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
     if args.image_size is None:
-        width, height = table.least_size
-        print(f'pictures are taken to be {width}x{height} px; give --image-size WxH if not')
-        return solve(table.captures, table.target, table.least_size)
+        size = table.least_size
+        print('pictures are taken to be {}x{} px; give --image-size WxH if not'.format(*size))
+    else:
+        size = _size(args.image_size)
+    return _Marks(table.captures, table.target, size)
+
+
+def _size(text: str) -> tuple[int, int]:
     try:
-        width, height = (int(number) for number in args.image_size.split('x'))
+        width, height = (int(number) for number in text.split('x'))
     except ValueError:
-        raise ConfigError(
-            f'--image-size must be WxH such as 1920x1200, got {args.image_size!r}'
-        ) from None
-    return solve(table.captures, table.target, (width, height))
+        width = height = 0
+    if min(width, height) < 1:
+        raise ConfigError(f'--image-size must be WxH such as 1920x1200, got {text!r}')
+    return width, height
+
+
+def _timed(job: Callable[[], _Result]) -> tuple[_Result, float]:
+    """Return what a job returns and how long it took, s."""
+    start = time.monotonic()
+    return job(), time.monotonic() - start

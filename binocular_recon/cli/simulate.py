@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
+from binocular_recon.cli.options import non_negative, positive
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
 from binocular_recon.images import ByteImage
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_common(rods)
     rods.add_argument('--rods', type=Path, help='rods.yaml; by default 5 rods of 6 marks')
     rods.add_argument(
-        '--boards', type=int, default=11, help='number of boards (default %(default)s)'
+        '--boards', type=positive(int), default=11, help='number of boards (default %(default)s)'
     )
     rods.add_argument(
         '--placement', type=float, help='placement error, m; by default that of --rods'
@@ -68,7 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scene = kinds.add_parser('scene', help='two people and a bicycle at 10-20 m, as a bag')
     _add_common(scene)
     scene.add_argument(
-        '--frames', type=int, default=1, help='picture pairs in the bag (default %(default)s)'
+        '--frames',
+        type=positive(int),
+        default=1,
+        help='picture pairs in the bag (default %(default)s)',
     )
 
 
@@ -95,7 +99,9 @@ def load_photographs(folder: Path) -> tuple[ByteImage, ...]:
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--output', type=Path, required=True, help='folder to write to')
-    parser.add_argument('--seed', type=int, default=0, help='other seed, other data (default 0)')
+    parser.add_argument(
+        '--seed', type=non_negative, default=0, help='other seed, other data (default 0)'
+    )
 
 
 def _rods(args: argparse.Namespace) -> None:

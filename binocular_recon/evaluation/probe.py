@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.errors import BinocularReconError
+from binocular_recon.evaluation.timing import peak_bytes
 
 # On pictures of this size kernels are compiled before memory is measured.
 _SMALL = (96, 64, 16)
@@ -81,14 +82,10 @@ def _in_process(kind: str, preset: str, *size: int, **environment: str) -> dict[
 
 
 def _peak_bytes() -> int:
-    """Return the largest memory this process had so far.
-
-    Not from getrusage: its ru_maxrss starts at the parent's peak when a child is started by vfork.
-    """
-    for line in Path('/proc/self/status').read_text(encoding='ascii').splitlines():
-        if line.startswith('VmHWM:'):
-            return 1024 * int(line.split()[1])
-    raise ProbeError('/proc/self/status has no VmHWM; peak memory is measured on Linux only')
+    peak = peak_bytes()
+    if peak is None:
+        raise ProbeError('/proc/self/status has no VmHWM; peak memory is measured on Linux only')
+    return peak
 
 
 def _measure_memory(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:

@@ -55,6 +55,19 @@ def interleaved(
     return {name: float(np.median(values)) for name, values in seconds.items()}
 
 
+def peak_bytes() -> int | None:
+    """Return the largest memory this process had so far, None where the system does not tell.
+
+    Not from getrusage: its ru_maxrss starts at the parent's peak when a child is started by vfork.
+    """
+    try:
+        status = Path('/proc/self/status').read_text(encoding='ascii')
+    except OSError:
+        return None
+    peaks = (line.split()[1] for line in status.splitlines() if line.startswith('VmHWM:'))
+    return next((1024 * int(peak) for peak in peaks), None)
+
+
 def machine_facts() -> dict[str, Any]:
     """Return what a timing depends on: processor, cores, versions."""
     return {

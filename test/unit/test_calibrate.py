@@ -68,6 +68,11 @@ def test_pictures_to_a_calibrated_rig(
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
     assert 'no board found' in reasons['8']
     assert all(f'left out: {name}: ' in text for name in reasons)
+    pattern = r'^9 boards in [\d.]+ s: marks [\d.]+ s, calibration [\d.]+ s, report [\d.]+ s'
+    assert re.search(pattern, text, re.MULTILINE)
+    if Path('/proc/self/status').exists():
+        (peak_mb,) = re.findall(r'at most (\d+) MB of memory', text)
+        assert 50 < int(peak_mb) < 8000
     rig = read_rig(output)
     assert rig.left.size == (960, 600)
     assert abs(rig.baseline_m - 1.0) < 4 * content['sigma']['baseline_m']
@@ -126,6 +131,9 @@ def test_self_check_tells_and_writes_its_rows(
         (('DIR', '--points', 'x.csv'), 'give either'),
         (('DIR',), 'need --rods rods.yaml'),
         (('--points', str(CHESSBOARD), '--image-size', '640'), '--image-size must be WxH'),
+        (('--points', str(CHESSBOARD), '--image-size', '0x0'), '--image-size must be WxH'),
+        (('--points', str(CHESSBOARD), '--rods', 'x.yaml'), '--points has its own coordinates'),
+        (('DIR', '--rods', 'x.yaml', '--image-size', '8x8'), '--image-size belongs to --points'),
     ],
 )
 def test_wrong_usage(
@@ -134,6 +142,25 @@ def test_wrong_usage(
     assert calibrate(*args, '--output', tmp_path) == 2
     error = capsys.readouterr().err
     assert message in error and error.count('\n') == 1
+
+
+@pytest.mark.parametrize(
+    'args',
+    [
+        ('calibrate', '--self-check', '--sets', '0'),
+        ('calibrate', '--self-check', '--draws', '-1'),
+        ('simulate', 'rods', '--boards', '0', '--evaluate'),
+        ('simulate', 'rods', '--seed', '-1'),
+        ('simulate', 'scene', '--frames', '0'),
+    ],
+)
+def test_numbers_out_of_range(
+    args: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match='2'):
+        main([*args, '--output', str(tmp_path)])
+    error = capsys.readouterr().err
+    assert 'must not be negative' in error or 'greater than 0' in error
 
 
 def test_problems_with_the_input(

@@ -29,9 +29,9 @@ def test_rods_that_are_gone_or_not_seen_again_do_not_pass_for_still() -> None:
     empty = np.full_like(shown.left, 120)
     with pytest.raises(CalibrationError, match=r'were not found again 0\.50 s later; wait until'):
         check_still(pair, capture, Pair(empty, empty, 10.5), BOARD)
-    moved = (np.roll(image, 3, axis=1) for image in (shown.left, shown.right))
+    moved_left, moved_right = (np.roll(image, 3, axis=1) for image in (shown.left, shown.right))
     with pytest.raises(CalibrationError, match=r'moved by 3\.0 px within 0\.25 s'):
-        check_still(pair, capture, Pair(*moved, 10.25), BOARD)
+        check_still(pair, capture, Pair(moved_left, moved_right, 10.25), BOARD)
 
 
 def test_pictures_must_keep_their_size() -> None:
