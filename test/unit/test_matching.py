@@ -253,6 +253,7 @@ def test_exposure_does_not_matter(semi_global: bool) -> None:
     assert np.quantile(change, 0.99) < 0.04  # levels are rounded to a quarter
 
 
+@pytest.mark.large
 @pytest.mark.parametrize('side', [0, 1])
 def test_less_contrast_of_one_picture_loses_no_texture(side: int) -> None:
     pair = [image / 45 + 100 for image in shifted_pair(60, 100, 6.5)]  # just above the threshold
