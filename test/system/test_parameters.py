@@ -7,21 +7,25 @@ import dataclasses
 import re
 from functools import partial
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import PRESETS, MatchConfig
+from binocular_recon.errors import ConfigError
+from binocular_recon.nodes.endpoints import Output, offer
 from binocular_recon.nodes.match_node import MatchNode
 from binocular_recon.nodes.rectify_node import RectifyNode
 from binocular_recon.nodes.wls_filter_node import WlsFilterNode
 from binocular_recon.stereo.rectification import Rectifier
 from test.system.conftest import StartNode
 from test.system.graph import Graph, NodeProcess, wait_until
-from test.system.rig import CameraPair, pictures, raw_rig
+from test.system.rig import SIDES, CameraPair, pictures, raw_rig
 
 TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
@@ -40,7 +44,11 @@ def _nodes(start_node: StartNode) -> None:
         correlation_window_size=11,
         speckle_range=2,
         disparity_range=32,
-        **{'qos_overrides./rig/right/image_rect.subscription.reliability': 'reliable'},
+        image_transport='compressed',
+        **{
+            'qos_overrides./rig/right/image_rect/compressed.subscription.reliability': 'reliable',
+            'qos_overrides./rig/confidence.publisher.reliability': 'best_effort',
+        },
     )
     start_node('wls_filter_node', preset='paper')
 
@@ -129,9 +137,9 @@ def test_preset_given_at_the_start(graph: Graph) -> None:
 def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
     rectify = Rectifier(raw_rig())
     images = rectify(*pictures(2))
-    cameras = CameraPair(graph, rectify.rig, image='image_rect')
+    cameras = CameraPair(graph, rectify.rig, image='image_rect', compressed=True)
     with graph.listening(('/rig/disparity', DisparityImage)) as (inbox,):
-        graph.wait_for_subscriber('/rig/left/image_rect', '/rig/right/image_rect')
+        graph.wait_for_subscriber(*cameras.topics)
         for index, low in enumerate((0, 6)):
             assert graph.set_parameters('/rig/match_node', min_disparity=low) == ''
             cameras.send(index, images)
@@ -142,19 +150,22 @@ def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
 
 
 def test_quality_of_service_is_that_of_the_sensors_unless_overridden(graph: Graph) -> None:
-    """Publishers are reliable, subscriptions best effort, but for the one that was overridden."""
+    """Publishers are reliable, subscriptions best effort, but for those that were overridden."""
+    left_topic, right_topic = (f'/rig/{side}/image_rect/compressed' for side in SIDES)
     with graph.listening(('/rig/disparity', DisparityImage)):
-        listening = partial(graph.node.get_subscriptions_info_by_topic, '/rig/left/image_rect')
+        listening = partial(graph.node.get_subscriptions_info_by_topic, left_topic)
         wait_until(listening, 'match_node to listen')
         (left,) = [x.qos_profile for x in listening() if x.node_name == 'match_node']
-        (right,) = graph.node.get_subscriptions_info_by_topic('/rig/right/image_rect')
+        (right,) = graph.node.get_subscriptions_info_by_topic(right_topic)
     assert left.reliability == ReliabilityPolicy.BEST_EFFORT
     assert right.qos_profile.reliability == ReliabilityPolicy.RELIABLE
     for node in (RectifyNode, MatchNode, WlsFilterNode):
         for output in node.OUTPUTS:
             for offered in graph.node.get_publishers_info_by_topic(f'/rig/{output.topic}'):
                 if offered.node_name == node.NAME:
-                    assert offered.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                    assert (offered.qos_profile.reliability == ReliabilityPolicy.RELIABLE) == (
+                        output.topic != 'confidence'
+                    )
                     assert offered.qos_profile.durability == DurabilityPolicy.VOLATILE
 
 
@@ -178,3 +189,14 @@ def test_bad_value_at_the_start_ends_the_node(
     assert node.process.returncode == 1
     assert re.search(reason, node.text()), node.text()
     assert 'Traceback' not in node.text()
+
+
+def test_bad_override_of_a_publisher_is_said(graph: Graph) -> None:
+    name = 'qos_overrides./rig/disparity.publisher.reliability'
+    arguments = ['--ros-args', '-p', f'{name}:=always']
+    node = Node('own', namespace='/rig', context=graph.context, cli_args=arguments)
+    try:
+        with pytest.raises(ConfigError, match=r'output disparity: .*always'):
+            offer(node, Output('disparity', DisparityImage), Mock(), Mock())
+    finally:
+        node.destroy_node()
