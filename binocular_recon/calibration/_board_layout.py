@@ -150,7 +150,7 @@ def _best_pair(
     size: tuple[int, int],
 ) -> tuple[IntArray, IntArray] | None:
     """Try every two tracks as every two rods; return tracks and marks of the best board."""
-    x = board.rods_xz_m[:, 0]
+    row = board.row_m
     best, best_score = None, 0.0
     chosen = np.empty(board.count, np.int64)
     indices = np.empty((board.count, table.shape[1]), np.int64)
@@ -169,10 +169,10 @@ def _best_pair(
         step = 0.5 * (looks[left.track, 1] + looks[right.track, 1])
         limits = _limits(board, size, step)
         for rods in combinations(range(board.count), 2):
-            if not NARROWEST < apart_m / (x[rods[1]] - x[rods[0]]) < WIDEST:
+            if not NARROWEST < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < WIDEST:
                 continue
             score = score_layout(
-                table, looks, ends, rods, x, board.marks_m, limits, chosen, indices
+                table, looks, ends, rods, row, board.marks_m, limits, chosen, indices
             )
             if score > best_score:
                 best, best_score = (chosen.copy(), indices.copy()), score
@@ -190,12 +190,12 @@ def _best_single(
     best, best_score = None, 0.0
     chosen = np.empty(1, np.int64)
     indices = np.empty((1, table.shape[1]), np.int64)
-    x = np.array([0.0])
+    row = np.zeros((1, 2))
     for anchor in anchors:
         ends = np.stack([anchor.ends, anchor.ends])
         one = slice(anchor.track, anchor.track + 1)
         score = score_layout(
-            table[one], looks[one], ends, (0, 0), x, board.marks_m,
+            table[one], looks[one], ends, (0, 0), row, board.marks_m,
             _limits(board, size, looks[anchor.track, 1]), chosen, indices,
         )  # fmt: skip
         if score > best_score:

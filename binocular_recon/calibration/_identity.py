@@ -85,7 +85,7 @@ def settle_identity(
     size, marks_px = (image.shape[1], image.shape[0]), refined.marks_px
     if np.isfinite(marks_px).all():
         return marks_px  # nothing else has a place for all of them
-    ways = [marks_px, *other_identities(board, marks_px)]
+    ways = [marks_px, *other_identities(board, marks_px, size)]
     ways = [way for way in ways if slant(board, way, size) < MOST_SLANT]
     if not ways:
         return None
@@ -111,13 +111,15 @@ def settle_identity(
     return readings[best].marks_px if clear and scores[best] > 0 else None
 
 
-def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArray]:
+def other_identities(
+    board: RodBoard, marks_px: FloatArray, size: tuple[int, int]
+) -> Iterator[FloatArray]:
     """Yield the same marks as other rods or at other heights, where the spacings allow it.
 
     Some marks may fall off: feet on light ground that were taken for marks.
     """
     rods, marks = np.nonzero(np.isfinite(marks_px[..., 0]))
-    if plane_marks(board, marks_px) is None and board.count > 1:
+    if plane_marks(board, marks_px, size) is None and board.count > 1:
         return
     seen = np.unique(rods)
     moves = [
@@ -136,7 +138,7 @@ def other_identities(board: RodBoard, marks_px: FloatArray) -> Iterator[FloatArr
             continue
         moved = np.full_like(marks_px, np.nan)
         moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
-        if _plausible(board, moved):
+        if _plausible(board, moved, size):
             yield moved
 
 
@@ -146,11 +148,12 @@ def _rows(board: RodBoard, seen: IntArray) -> Iterator[IntArray]:
     Marks keep their heights, so the board may be shifted and stretched along its row, but not
     otherwise: of an even row every other rod looks like a row seen more from the side.
     """
-    x = board.rods_xz_m[:, 0]
+    x, off = board.row_m.T
     if len(seen) < 2:
         yield np.arange(board.count)
         return
-    limit = lateral_limit_m(board)
+    # seen from the side, rods off the row are elsewhere along it
+    limit = lateral_limit_m(board) + float(np.ptp(off))
     # one rod at either end may be none, or have no place
     ends = {(seen[0], seen[-1]), (seen[0], seen[-2]), (seen[1], seen[-1])}
     known: set[bytes] = set()
@@ -164,10 +167,10 @@ def _rows(board: RodBoard, seen: IntArray) -> Iterator[IntArray]:
                 yield way
 
 
-def _plausible(board: RodBoard, marks_px: FloatArray) -> bool:
+def _plausible(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
     """Return whether the marks lie as evenly as the board's."""
     found = np.isfinite(marks_px[..., 0])
-    plane = plane_marks(board, marks_px)
+    plane = plane_marks(board, marks_px, size)
     if plane is None:
         if board.count > 1 or found.sum() < 2:
             return False
@@ -197,10 +200,9 @@ def _read(
     ``most`` is their number before those fell off that this identity has no place for. None if
     the score cannot reach ``least``.
     """
-    marks_px = refined.marks_px
-    plane = plane_marks(board, marks_px)
+    marks_px, size = refined.marks_px, (image.shape[1], image.shape[0])
+    plane = plane_marks(board, marks_px, size)
     predicted = predict_marks(board, marks_px, plane)
-    size = image.shape[1], image.shape[0]
     expected = int(expected_in_picture(predicted, size, FRAME_MARGIN_PX).sum())
     against = 0.5 * (most - int(np.isfinite(marks_px[..., 0]).sum()))
     against += SLANT_COST * slant(board, marks_px, size)

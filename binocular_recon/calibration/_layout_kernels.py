@@ -22,32 +22,71 @@ MISSING, UNEXPLAINED = 0.3, 0.5
 STEP_RANGE, WIDTH_RANGE = 0.4, 0.6
 # A rod is off sideways by less than this share of the distance to the next one.
 BESIDE = 0.35
+# Focal lengths that cameras have, as shares of the picture's width.
+NARROW_FOCAL, WIDE_FOCAL = 0.4, 5.0
 # How far a border may be from where two other rods put the mark, as a share of the spacing.
 ALONG = 0.35
 
 
 @kernel
-def predict_rod(
-    ends: FloatArray, place: tuple[float, float, float], predicted: FloatArray
-) -> bool:
-    """Write bottom and top x, y of the rod at ``x`` from those of two others; False if behind.
+def off_plane(
+    ends: FloatArray, apart_m: float, size: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return the image (homogeneous x, y and weight) of a metre off the plane of two rods.
 
-    ``ends`` (2, 5): bottom and top x, y, px per metre of two rods at ``x0`` and ``x1`` (the same
-    rod if these are equal); ``place`` is x, x0, x1. Points of the plane combine with weights that
-    are depths, the inverse of the scale.
+    ``ends`` as in `predict_rod`, of rods ``apart_m`` apart; ``size`` width and height of the
+    picture, px. The way from one rod to the other is as long as in space with the right focal
+    length, and the rods are square to it and to the optical axis.
     """
-    x, x0, x1 = place
-    if x0 == x1:
-        predicted[:] = ends[0, :4]
-        return True
-    w0, w1 = (x1 - x) / ends[0, 4], (x - x0) / ends[1, 4]
-    total = w0 + w1
+    cx, cy = 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)
+    w0, w1 = 1 / ends[0, 4], 1 / ends[1, 4]
+    x0, y0 = 0.5 * (ends[0, 0] + ends[0, 2]) - cx, 0.5 * (ends[0, 1] + ends[0, 3]) - cy
+    x1, y1 = 0.5 * (ends[1, 0] + ends[1, 2]) - cx, 0.5 * (ends[1, 1] + ends[1, 3]) - cy
+    ax, ay = (w1 * x1 - w0 * x0) / apart_m, (w1 * y1 - w0 * y0) / apart_m
+    change = (w1 - w0) / apart_m
+    focal = math.sqrt(max(0.0, 1 - ax * ax - ay * ay)) / max(abs(change), 1e-9)
+    focal = min(max(focal, NARROW_FOCAL * size[0]), WIDE_FOCAL * size[0])
+    az = focal * change
+    ux = ends[0, 2] + ends[1, 2] - ends[0, 0] - ends[1, 0]
+    uy = ends[0, 3] + ends[1, 3] - ends[0, 1] - ends[1, 1]
+    length = math.hypot(ux, uy)
+    ux, uy = ux / length, uy / length
+    weight = (ax * uy - ay * ux) / focal
+    return -az * uy + cx * weight, az * ux + cy * weight, weight
+
+
+@kernel
+def predict_rod(
+    ends: FloatArray,
+    place: tuple[float, float],
+    off: tuple[float, float, float],
+    predicted: FloatArray,
+) -> bool:
+    """Write bottom and top x, y of a rod from those of two others; False if behind.
+
+    ``ends`` (2, 5): bottom and top x, y, px per metre of two rods; ``place``: how far from the
+    first to the second rod the rod stands, as a share, and how far off their plane, m; ``off``
+    from `off_plane`. Points combine with weights that are depths, the inverse of the scale.
+    """
+    w0, w1 = (1 - place[0]) / ends[0, 4], place[0] / ends[1, 4]
+    total = w0 + w1 + place[1] * off[2]
     # nearer than a fifth or farther than five times the known rods: no board is
-    if total <= 0.2 * (x1 - x0) * min(1 / ends[0, 4], 1 / ends[1, 4]):
+    if total <= 0.2 * min(1 / ends[0, 4], 1 / ends[1, 4]):
         return False
     for k in range(4):
-        predicted[k] = (w0 * ends[0, k] + w1 * ends[1, k]) / total
+        outward = place[1] * off[k % 2]
+        predicted[k] = (w0 * ends[0, k] + w1 * ends[1, k] + outward) / total
     return True
+
+
+@kernel
+def _place(row: FloatArray, rods: tuple[int, int], r: int) -> tuple[float, float]:
+    """Return the place of rod r against two others as `predict_rod` takes it."""
+    first, last = rods
+    ax, az = row[last, 0] - row[first, 0], row[last, 1] - row[first, 1]
+    dx, dz = row[r, 0] - row[first, 0], row[r, 1] - row[first, 1]
+    square = max(ax * ax + az * az, 1e-12)
+    return (dx * ax + dz * az) / square, (dz * ax - dx * az) / math.sqrt(square)
 
 
 @kernel
@@ -112,17 +151,22 @@ def _taken(chosen: IntArray, track: int, count: int) -> bool:
 
 @kernel
 def _neighbour_gap(
-    ends: FloatArray, rods: tuple[int, int], rods_x: FloatArray, r: int, predicted: FloatArray
+    ends: FloatArray,
+    rods: tuple[int, int],
+    row: FloatArray,
+    off: tuple[float, float, float],
+    r: int,
+    predicted: FloatArray,
 ) -> float:
     """Return how far the feet of the next rods are from that of rod r in the picture, px."""
     beside = np.empty(4)
     gap = 1e9
     for other in (r - 1, r + 1):
-        if 0 <= other < rods_x.size:
-            place = (rods_x[other], rods_x[rods[0]], rods_x[rods[1]])
-            if predict_rod(ends, place, beside):
-                distance = math.hypot(beside[0] - predicted[0], beside[1] - predicted[1])
-                gap = min(gap, distance)
+        if not 0 <= other < len(row):
+            continue
+        if predict_rod(ends, _place(row, rods, other), off, beside):
+            distance = math.hypot(beside[0] - predicted[0], beside[1] - predicted[1])
+            gap = min(gap, distance)
     return gap
 
 
@@ -132,7 +176,7 @@ def score_layout(
     looks: FloatArray,
     ends: FloatArray,
     rods: tuple[int, int],
-    rods_x: FloatArray,
+    row: FloatArray,
     marks: FloatArray,
     limits: FloatArray,
     chosen: IntArray,
@@ -150,8 +194,8 @@ def score_layout(
         Bottom and top x, y, px per metre of the two rods.
     rods : tuple of int
         Which rods of the board they are.
-    rods_x : (R,) float64
-        Places of the rods along the board, m.
+    row : (R, 2) float64
+        Places of the rods along and off their row, m.
     marks : (M,) float64
         Heights of the marks, m.
     limits : (6,) float64
@@ -166,10 +210,11 @@ def score_layout(
     total = 0.0
     predicted = np.empty(4)
     trial = np.empty(tracks.shape[1], np.int64)
-    for r in range(rods_x.size):
+    apart_m = math.hypot(row[rods[1], 0] - row[rods[0], 0], row[rods[1], 1] - row[rods[0], 1])
+    off = off_plane(ends, max(apart_m, 1e-6), (limits[0], limits[1]))
+    for r in range(len(row)):
         chosen[r] = NONE
-        place = (rods_x[r], rods_x[rods[0]], rods_x[rods[1]])
-        if not predict_rod(ends, place, predicted):
+        if not predict_rod(ends, _place(row, rods, r), off, predicted):
             continue
         expected = 0
         for m in range(marks.size):
@@ -180,7 +225,7 @@ def score_layout(
                 expected += 1
         length = math.hypot(predicted[2] - predicted[0], predicted[3] - predicted[1])
         lateral = limits[2] * length / (marks[-1] - marks[0]) + limits[3]
-        lateral = min(lateral, BESIDE * _neighbour_gap(ends, rods, rods_x, r, predicted))
+        lateral = min(lateral, BESIDE * _neighbour_gap(ends, rods, row, off, r, predicted))
         best = 0.0
         for t in range(tracks.shape[0]):
             if _taken(chosen, t, r) or _far(tracks[t], predicted, 2 * lateral):

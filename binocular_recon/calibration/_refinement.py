@@ -79,7 +79,7 @@ def refine(
     blur = float(np.median([fit.blur_px for fit in fits]))
     curve = _curve_model(fits)
     again = np.stack([_positions(row) for row in first])
-    exact = plane_marks(board, again)
+    exact = plane_marks(board, again, (image.shape[1], image.shape[0]))
     if exact is not None:
         widths = board.rod_diameter_m * np.stack([_px_per_m(board, rod) for rod in exact])
     rods = _fit_sides(image, again, predicted_px, widths)

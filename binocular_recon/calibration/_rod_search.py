@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -61,7 +62,11 @@ class Borders(NamedTuple):
 
 
 def find_tracks(
-    grey: FloatImage, board: RodBoard, threshold: float, leans: tuple[float, ...] = (0.0,)
+    grey: FloatImage,
+    board: RodBoard,
+    threshold: float,
+    leans: tuple[float, ...] = (0.0,),
+    known: Sequence[Track] = (),
 ) -> list[Track]:
     """Return rows of borders that may be rods, the best first, each place once.
 
@@ -76,9 +81,13 @@ def find_tracks(
     leans : tuple of float
         Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and
         up to 20 on a quiet background.
+    known : sequence of Track
+        Rows found before, at other leans.
 
     """
-    tracks = [track for lean in leans for track in _leaning_tracks(grey, board, threshold, lean)]
+    tracks = list(known)
+    for lean in leans:
+        tracks += _leaning_tracks(grey, board, threshold, lean)
     tracks.sort(key=lambda track: -track.score)
     return _each_place_once(tracks)
 

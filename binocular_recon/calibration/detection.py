@@ -16,12 +16,14 @@ from binocular_recon.calibration._board_plane import plane_marks, predict_marks
 from binocular_recon.calibration._guided_search import Averaged, complete
 from binocular_recon.calibration._identity import settle_identity
 from binocular_recon.calibration._refinement import Refined, refine
-from binocular_recon.calibration._rod_search import find_tracks
+from binocular_recon.calibration._rod_search import Track, find_tracks
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
 
+# Smallest side of a picture that is searched, px.
+LEAST_SIZE_PX = 32
 # Grey levels between the darkest and the lightest part of a picture after stretching.
 FULL_RANGE = 255.0
 # Least step of a border, in levels of the stretched picture and in standard deviations of noise.
@@ -90,26 +92,40 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
         If the picture's type or shape is another.
 
     """
-    best: Detection | None = None
-    for leans in ((0.0,), (0.0, *FURTHER_LEANS)):
-        for grey in _channels(image):
-            detection = _detect(grey, board, leans)
-            if best is None or detection.found.sum() > best.found.sum():
-                best = detection
-            if best.found.mean() >= ENOUGH:
-                return best
-    assert best is not None
+    image = _checked(image)
+    height, width = image.shape[:2]
+    best = _nothing(board, f'a picture of {width}x{height} px is too small for rods')
+    if min(height, width) < LEAST_SIZE_PX:
+        return best
+    for attempt, (grey, tracks) in enumerate(_searches(image, board)):
+        detection = _detect(grey, board, tracks)
+        if attempt == 0 or detection.found.sum() > best.found.sum():
+            best = detection
+        if best.found.mean() >= ENOUGH:
+            break
     return best
 
 
-def _detect(grey: FloatImage, board: RodBoard, leans: tuple[float, ...]) -> Detection:
-    stretched, threshold = _stretch(grey)
-    tracks = find_tracks(stretched, board, threshold, leans)
+def _searches(
+    image: npt.NDArray[Any], board: RodBoard
+) -> Iterator[tuple[FloatImage, list[Track]]]:
+    """Yield stretched pictures with what may be rods: upright ones, then leaning ones too."""
+    upright = []
+    for grey in _channels(image):
+        stretched, threshold = _stretch(grey)
+        tracks = find_tracks(stretched, board, threshold)
+        yield stretched, tracks
+        upright.append((stretched, threshold, tracks))
+    for stretched, threshold, tracks in upright:
+        yield stretched, find_tracks(stretched, board, threshold, FURTHER_LEANS, tracks)
+
+
+def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection:
     for _ in range(MOST_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
             break
-        detection = _settle(stretched, board, layout)
+        detection = _settle(grey, board, layout)
         if detection is not None:
             return detection
         # regular clutter, such as a chessboard, looked more like the board
@@ -140,12 +156,13 @@ def _nothing(board: RodBoard, message: str) -> Detection:
 
 def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: FloatArray) -> Refined:
     """Measure the marks found roughly, then those that the board says must be there too."""
-    plane = plane_marks(board, rough)
+    size = image.shape[1], image.shape[0]
+    plane = plane_marks(board, rough, size)
     refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
     for _ in range(2):
         # what is measured tells better where the rest must be
         known = refined.marks_px
-        plane = plane_marks(board, known)
+        plane = plane_marks(board, known, size)
         predicted = predict_marks(board, known, plane)
         more = complete(averaged, board, known, predicted)
         if np.isfinite(more).sum() == np.isfinite(known).sum():
@@ -166,11 +183,8 @@ def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
     return bool(complete_rods >= 2)
 
 
-def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
-    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
-
-    The smallest of blue, green and red is low on every strong colour and high on white.
-    """
+def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a picture as (H, W) or (H, W, 3); raise an ImageError if it is none."""
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise ImageError(
             f'a picture of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
@@ -178,11 +192,19 @@ def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
         )
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
+    if image.ndim == 3 and image.shape[2] != 3:
+        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
+    return image
+
+
+def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
+    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
+
+    The smallest of blue, green and red is low on every strong colour and high on white.
+    """
     if image.ndim == 2:
         yield image.astype(np.float32)
         return
-    if image.shape[2] != 3:
-        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
     color = image.astype(np.float32)
     yield np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY))
     yield color.min(2)

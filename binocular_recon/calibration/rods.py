@@ -142,6 +142,11 @@ class RodBoard:
         """Number of marks of a rod."""
         return self.marks_m.size
 
+    @property
+    def row_m(self) -> FloatArray:
+        """Place of each rod along and off its row: (R, 2) float64, m."""
+        return row_of(self.rods_xz_m)
+
     def world_points(self) -> FloatArray:
         """Return the marks on the axes of exactly placed rods: (R, M, 3), board frame, m."""
         points = np.empty((self.count, self.marks_per_rod, 3))
@@ -268,6 +273,15 @@ def save_rods(board: RodBoard, path: str | Path) -> None:
         Path(path).write_text(text, encoding='utf-8')
     except OSError as error:
         raise FileError(f'cannot write {path}: {error}') from error
+
+
+def row_of(places_m: FloatArray) -> FloatArray:
+    """Turn places x, z (N, 2), m, about the y axis until their line of best fit lies along x."""
+    x, z = places_m.T
+    centred = x - x.mean()
+    slope = centred @ z / max(float(centred @ centred), 1e-9)
+    along, off = np.array([[1.0, slope], [-slope, 1.0]]) / np.hypot(1.0, slope) @ places_m.T
+    return np.stack([along, off - off.mean()], -1)
 
 
 def visible_borders(

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from binocular_recon.calibration._board_plane import fit_camera, project
 from binocular_recon.calibration.planar import MIN_MARKS, first_guess
-from binocular_recon.calibration.rods import Capture
+from binocular_recon.calibration.rods import Capture, row_of
 from binocular_recon.calibration.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
@@ -19,7 +20,7 @@ from binocular_recon.errors import CalibrationError
 MIN_BOARDS = 3
 # What the paper used; fewer are accepted with a warning.
 RECOMMENDED_BOARDS = 11
-# Largest misfit of a flat board: this many px plus this share of its size in the picture, which
+# Largest misfit of a board: this many px plus this share of its size in the picture, which
 # leaves room for lens distortion and for rods that stand a few centimetres off.
 FLATNESS_PX, FLATNESS_SHARE = 4.0, 0.04
 # Boards whose marks all lie this close (median, px) to those of another one show the same scene.
@@ -201,19 +202,19 @@ def _too_few_marks(capture: Capture, target: Target) -> str | None:
 
 
 def _misfit(capture: Capture, target: Target, image_size: tuple[int, int]) -> str | None:
-    """Say by how much the marks miss any flat board as described, None if they fit."""
+    """Say by how much the marks miss any board as described, None if they fit."""
     points = target.nominal_m.reshape(-1, 3)
+    points[:, [0, 2]] = row_of(points[:, [0, 2]])
     for side, given in (('left', capture.left_px), ('right', capture.right_px)):
         pixels = given.reshape(-1, 2)
         seen = np.isfinite(pixels).all(axis=-1)
         if (pixels[seen] < -0.5).any() or (pixels[seen] > np.array(image_size) - 0.5).any():
             width, height = image_size
             return f'marks of the {side} picture lie outside its {width}x{height} px'
-        homography, _ = cv2.findHomography(points[seen, :2], pixels[seen])
-        if homography is None:
+        camera = fit_camera(points[seen], pixels[seen], image_size)
+        if camera is None:
             return f'the marks of the {side} picture do not form a board'
-        mapped = np.column_stack([points[seen, :2], np.ones(seen.sum())]) @ homography.T
-        errors = np.linalg.norm(pixels[seen] - mapped[:, :2] / mapped[:, 2:], axis=1)
+        errors = np.linalg.norm(pixels[seen] - project(camera, points[seen]), axis=1)
         error = float(np.sqrt(np.mean(errors**2)))
         size = float(np.linalg.norm(np.ptp(pixels[seen], axis=0)))
         if error > FLATNESS_PX + FLATNESS_SHARE * size:

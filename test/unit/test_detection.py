@@ -16,20 +16,24 @@ from binocular_recon.calibration.detection import _settle, detect_rods
 from binocular_recon.calibration.rods import RodBoard
 from binocular_recon.errors import ImageError
 from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, mixed_options, simulate_capture
 from binocular_recon.simulation.render import RodPaint, Sensor, draw_rods, expose
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import PlacedBoard, paper_board, place_board
 
-PHOTOGRAPHS = Path(__file__).parents[2] / '..' / 'shared' / 'data' / 'poles'
 RIG = survey_rig()
 LEFT = RIG.views()[0]
 
 
-def board_of(rods: list[float], marks: list[float], diameter: float = 0.04) -> RodBoard:
+def board_of(
+    rods: list[float] | list[tuple[float, float]], marks: list[float], diameter: float = 0.04
+) -> RodBoard:
+    """Return a board with rods at x, or x and z."""
+    places = [rod if isinstance(rod, tuple) else (rod, 0.0) for rod in rods]
     return RodBoard.from_mapping(
         {
-            'rods': [{'x': x} for x in rods],
+            'rods': [{'x': float(x), 'z': z} for x, z in places],
             'marks': marks,
             'rod_diameter': diameter,
             'placement_sigma': 0.003,
@@ -78,12 +82,10 @@ def test_light_from_the_side_does_not_shift_the_middle(sun: tuple[float, float, 
     assert abs(np.nanmean(errors(image, placed)[..., 0])) < 0.04
 
 
-def test_clutter_occlusion_frame_and_tilt() -> None:
+def test_clutter_occlusion_frame_and_tilt(shared_data: Path) -> None:
     """The figures of a large run, on few boards; the command's --evaluate option runs more."""
     photographs = tuple(
-        photograph
-        for name in ('c1_pole1', 'c3_pole2')
-        if (photograph := cv2.imread(str(PHOTOGRAPHS / f'{name}.jpg'))) is not None
+        read_image_file(shared_data / 'poles' / f'{name}.jpg') for name in ('c1_pole1', 'c3_pole2')
     )
     board = paper_board()
     scores = []
@@ -115,6 +117,31 @@ def test_any_number_of_rods_and_any_spacing(
     error = errors(image, placed)
     assert np.isfinite(error).all()
     assert np.abs(error).max() < 0.25
+
+
+@pytest.mark.parametrize(
+    ('z', 'yaw', 'hidden'),
+    [
+        ([0.0, 0.2, 0.0, 0.2, 0.0], 0.8, None),
+        ([0.0, 0.2, 0.0, 0.2, 0.0], -0.7, 3),
+        ([0.0, -0.3, 0.1, 0.3, 0.05], 0.7, None),
+    ],
+)
+def test_rods_off_their_row_keep_their_identity(
+    z: list[float], yaw: float, hidden: int | None
+) -> None:
+    """Seen from the side they stand elsewhere along the row, rods 3 and 4 like 4 and 5."""
+    board = board_of(list(zip(np.arange(5) * 0.6, z, strict=True)), [0.3 * i for i in range(1, 7)])
+    image, placed = picture(board, (0.0, 1.1, 8.0), (0.05, yaw, 0.0))
+    truth = placed.borders_px(LEFT)
+    expected = np.ones((5, 6), np.bool_)
+    if hidden is not None:
+        x = int(truth[hidden, :, 0].mean())
+        image[:, x - 15 : x + 16] = 110
+        expected[hidden] = False
+    detection = detect_rods(image, board)
+    np.testing.assert_array_equal(detection.found, expected)
+    assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.25
 
 
 @pytest.mark.parametrize('roll_deg', [-20.0, -12.0, 12.0, 20.0])
@@ -277,6 +304,14 @@ def test_clutter_alone_has_no_board() -> None:
     x1, y1 = np.nanmax(capture.left_px, (0, 1)).astype(int) + 60
     image[max(0, y0) : y1, max(0, x0) : x1] = 128
     assert not detect_rods(image, board).found.any()
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (1, 200), (31, 500), (33, 64, 3)])
+def test_tiny_pictures_hold_no_board(shape: tuple[int, ...]) -> None:
+    detection = detect_rods(np.zeros(shape, np.uint8), paper_board())
+    assert not detection.found.any()
+    small = min(shape[:2]) < 32
+    assert (f'{shape[1]}x{shape[0]} px is too small' in detection.messages[0]) == small
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,10 @@ def test_rods_are_predicted_as_a_plane_maps() -> None:
         ends[i, :4] = (homogeneous[:, :2] / homogeneous[:, 2:]).ravel()
         # scale of the whole plane at the rod's bottom: the inverse of its depth
         ends[i, 4] = 1 / homogeneous[0, 2]
-    predicted = np.empty(4)
-    assert predict_rod(ends[:2], (1.9, 0.0, 0.7), predicted)
+    predicted, nothing = np.empty(4), (0.0, 0.0, 0.0)
+    assert predict_rod(ends[:2], (1.9 / 0.7, 0.0), nothing, predicted)
     np.testing.assert_allclose(predicted[:2], ends[2, :2], atol=1e-9)
-    assert not predict_rod(ends[:2], (-20.0, 0.0, 0.7), predicted)
+    assert not predict_rod(ends[:2], (-20.0 / 0.7, 0.0), nothing, predicted)
 
 
 def test_marks_are_searched_along_the_line() -> None:
