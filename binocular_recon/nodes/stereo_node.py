@@ -179,8 +179,8 @@ class StereoNode(Node):
         if not needed:
             return ''
         return (
-            f'{", ".join(needed)} comes too late: messages of its stamp have made room for newer'
-            f' ones by then; raise queue_size to at least {max(needed.values())}'
+            f'messages on {", ".join(needed)} come too late: others of their stamp have made room'
+            f' for newer ones by then; raise queue_size to at least {max(needed.values())}'
         )
 
     def _is_published(self, optional: str) -> bool:

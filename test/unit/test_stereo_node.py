@@ -98,8 +98,8 @@ def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
             {'confidence': 4.0},
             0,
             (
-                'disparity comes too late: messages of its stamp have made room for newer ones by'
-                ' then; raise queue_size to at least 9'
+                'messages on disparity come too late: others of their stamp have made room for'
+                ' newer ones by then; raise queue_size to at least 9'
             ),
         ),
         (
@@ -118,3 +118,34 @@ def test_why_there_are_no_sets(
     feed: Callable[[Synchronizer], None], silent: dict[str, float], publishers: int, text: str
 ) -> None:
     assert missing_sets(feed, silent, publishers) == text
+
+
+@pytest.mark.parametrize(
+    ('ages_s', 'too_late', 'level', 'text'),
+    [
+        ({}, '', 'OK', '7 frames within a second'),
+        ({'confidence': 9.0}, '', 'OK', '7 frames within a second'),
+        ({}, 'come too late', 'WARN', 'come too late'),
+        ({'disparity': 4.0, 'sets': 4.0}, '', 'ERROR', 'no message on disparity for 4.0 s; check'),
+        ({'left': 4.0, 'disparity': 4.0}, '', 'STALE', 'no messages on left, disparity; start'),
+        ({'sets': 4.0}, 'come too late', 'ERROR', 'come too late'),
+    ],
+)
+def test_what_keeps_frames_from_coming(
+    ages_s: dict[str, float], too_late: str, level: str, text: str
+) -> None:
+    """An optional input may be silent."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from binocular_recon.nodes.stereo_node import StereoNode
+
+    node: Any = object.__new__(StereoNode)
+    node._processed, node._superseded, node._listening = 7, 0, [Mock()]
+    node._inputs = dict.fromkeys(('left', 'disparity', 'confidence'))
+    node._optional = {'confidence': '/rig/confidence'}
+    node.count_publishers = lambda _: 1
+    node.health = Mock(silent=lambda: ages_s)
+    node._explain_lateness = lambda: too_late
+    said = StereoNode._condition(node)
+    assert said[0] == getattr(DiagnosticStatus, level) and text in said[1]
+    assert node.health.log.called == (level != 'OK')
