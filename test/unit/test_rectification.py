@@ -134,6 +134,19 @@ def test_alpha_0_has_no_empty_pixel_and_alpha_1_loses_none(model: str) -> None:
         assert map_y.min() <= 1 and map_y.max() >= SIZE[1] - 2
 
 
+def test_pictures_are_taken_from_where_the_maps_lead() -> None:
+    rig = make_rig()[0]
+    ramps = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
+    rectifier = Rectifier(rig)
+    found = np.array([rectifier(ramp, ramp) for ramp in ramps]).swapaxes(0, 1)
+    exact = int(cv2.__version__.partition('.')[0]) >= 5
+    for camera, (x, y) in zip((rig.left, rig.right), found, strict=True):
+        map_x, map_y = rectification_maps(camera)
+        inside = (map_x > 1) & (map_x < SIZE[0] - 2) & (map_y > 1) & (map_y < SIZE[1] - 2)
+        error_px = np.abs(np.stack([x - map_x, y - map_y]))[:, inside]
+        assert error_px.max() < (1e-3 if exact else 1 / 64 + 1e-3)
+
+
 @pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize('channels', [(), (3,), (4,)])
 def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> None:
