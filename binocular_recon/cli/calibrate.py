@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -69,8 +70,10 @@ def run(args: argparse.Namespace) -> None:
     """Calibrate and write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
     if args.self_check:
         make_folder(args.output)
-        rows = self_check(args.sets, args.draws, lambda line: print(line, flush=True))
+        told = functools.partial(print, flush=True)
+        rows, seconds = _timed(lambda: self_check(args.sets, args.draws, told))
         write_json(args.output / 'self_check.json', rows)
+        print(f'{args.output / "self_check.json"} ({seconds:.0f} s)')
         return
     _check(args)
     marks_of = _marks_of_points if args.points else _marks_of_pictures

@@ -32,6 +32,7 @@ from binocular_recon.calibration.stereo_calibration import StereoCalibration
 from binocular_recon.calibration.target import Target
 from binocular_recon.calibration.uncertainty import depth_sigma_m
 from binocular_recon.camera import FloatArray
+from binocular_recon.evaluation.opencv_calibration import calibrate_in_two_steps
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, RawRig, survey_rig
 from binocular_recon.simulation.rods import (
     FACING_CAMERA,
@@ -59,8 +60,9 @@ class AccuracyRow:
         Root mean square of depth error over Cramer-Rao bound: all runs, the worst one.
     honesty : float
         Root mean square of depth error over stated sigma; 1 is honest.
-    planar_m, adjusted_m, bound_m : tuple of float
-        Mean absolute depth error at 10, 15, 20 m of both methods, and of the bound, m.
+    opencv_m, planar_m, adjusted_m, bound_m : tuple of float
+        Mean absolute depth error at 10, 15, 20 m of OpenCV's two steps, of both of our methods,
+        and of the bound, m.
     planar_px, corrected_px, adjusted_px : float
         Reprojection error (Table 2), px.
 
@@ -70,6 +72,7 @@ class AccuracyRow:
     bound_ratio: float
     worst_ratio: float
     honesty: float
+    opencv_m: tuple[float, ...]
     planar_m: tuple[float, ...]
     adjusted_m: tuple[float, ...]
     bound_m: tuple[float, ...]
@@ -116,7 +119,7 @@ def check_accuracy(
             for set_ in range(sets)
             for draw in range(draws)
         ]
-        errors, bounds, stated, planar, pixels = (
+        errors, bounds, stated, planar, opencv, pixels = (
             np.array(part) for part in zip(*runs, strict=True)
         )
         squares = np.mean((errors / bounds) ** 2, axis=(1, 2))
@@ -125,6 +128,7 @@ def check_accuracy(
             float(np.sqrt(squares.mean())),
             float(np.sqrt(squares.max())),
             float(np.sqrt(np.mean((errors / stated) ** 2))),
+            _per_depth(np.abs(opencv)),
             _per_depth(np.abs(planar)),
             _per_depth(np.abs(errors)),
             # mean of the absolute value of a Gaussian
@@ -154,11 +158,13 @@ def self_check(
     """Run both checks, tell each row in words, and return all rows."""
     accuracy, rows = [], []
     told(
-        'depth at 15 m, mean |error|: planar, adjusted, bound; error / bound (worst run); honesty'
+        'depth at 15 m, mean |error|: OpenCV in two steps, planar, adjusted, bound; error / bound'
+        ' (worst run); honesty'
     )
     for row in check_accuracy(sets=sets, draws=draws):
         accuracy.append(asdict(row))
-        depths = (f'{1e3 * m[1]:5.0f}' for m in (row.planar_m, row.adjusted_m, row.bound_m))
+        all_m = row.opencv_m, row.planar_m, row.adjusted_m, row.bound_m
+        depths = (f'{1e3 * depth_m[1]:5.0f}' for depth_m in all_m)
         told(
             f'  placement {1e3 * row.placement_m:4.1f} mm: {", ".join(depths)} mm;'
             f' {row.bound_ratio:.2f} ({row.worst_ratio:.2f}); {row.honesty:.2f};'
@@ -210,10 +216,11 @@ def bound_m(rig: RawRig, placed: list[PlacedBoard], noise_px: float) -> FloatArr
 def _accuracy_run(
     rig: RawRig, placement_m: float, boards: int, seed: tuple[int, int]
 ) -> tuple[FloatArray, ...]:
-    """Return depth error, bound, stated sigma, planar depth error, and Table 2's averages."""
+    """Return depth error, bound, stated sigma, depth errors of peers, Table 2's averages."""
     placed = simulated_boards(rig, placement_m, boards, *seed)
     captures = simulated_captures(rig, placed, BOUND_NOISE_PX, seed)
     result = solve(captures, placed[0].board, rig.left.size)
+    opencv = calibrate_in_two_steps(captures, result.estimate.problem.target, rig.left.size)
     truth = true_calibration(rig)
     stated = depth_sigma_m(
         result.calibration,
@@ -227,6 +234,7 @@ def _accuracy_run(
         bound_m(rig, placed, BOUND_NOISE_PX),
         stated.reshape(len(DEPTHS_M), -1),
         depth_errors_m(result.planar.calibration, truth),
+        depth_errors_m(opencv, truth),
         np.array([stage.board_error_px.mean() for stage in stages]),
     )
 

@@ -112,12 +112,12 @@ def test_self_check_tells_and_writes_its_rows(
 ) -> None:
     """The checks themselves are run in the tests of the adjustment and of `solve`."""
     three = (0.01, 0.02, 0.03)
-    accuracy = AccuracyRow(0.005, 1.02, 2.5, 1.03, three, three, three, 0.9, 0.8, 0.2)
+    accuracy = AccuracyRow(0.005, 1.02, 2.5, 1.03, three, three, three, three, 0.9, 0.8, 0.2)
     monkeypatch.setattr(calibration_check, 'check_accuracy', lambda **_: [accuracy])
     monkeypatch.setattr(calibration_check, 'check_rows', lambda **_: [RowsRow(0.0, 5.5, 0.2, 0.1)])
     assert calibrate('--self-check', '--output', tmp_path) == 0
     text = capsys.readouterr().out
-    assert 'placement  5.0 mm:    20,    20,    20 mm; 1.02 (2.50); 1.03' in text
+    assert 'placement  5.0 mm:    20,    20,    20,    20 mm; 1.02 (2.50); 1.03' in text
     assert 'all: error / bound 1.020' in text and 'placement  0.0 mm: 5.50, 0.200, 0.100' in text
     content = json.loads((tmp_path / 'self_check.json').read_text())
     assert content['accuracy'][0]['bound_ratio'] == 1.02
