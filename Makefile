@@ -14,7 +14,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit units kernels jazzy jazzy-environment \
-        jazzy-system colcon evaluate benchmark docs lock clean distclean
+        jazzy-system colcon evaluate benchmark docs images lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -94,6 +94,9 @@ benchmark: ## speed of each stage against its peers
 
 docs: setup ## docs/nodes.md from what the nodes declare
 	$(RUN) docs/make_nodes.py
+
+images: demo ## the README's pictures from what the demo made
+	@$(RUN) docs/make_images.py out/demo
 
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 

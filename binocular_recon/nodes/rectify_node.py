@@ -25,7 +25,7 @@ _IMAGES = (
 
 
 class RectifyNode(StereoNode):
-    """Rectify pairs; every output carries the left stamp, encodings are kept."""
+    """Rectify pairs; encodings are kept, but Bayer patterns and YUV become bgr8."""
 
     NAME = 'rectify_node'
     INPUTS = (
