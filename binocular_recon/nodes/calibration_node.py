@@ -225,8 +225,8 @@ class CalibrationNode(StereoNode):
             gone = set(used) - set(stored)
             if gone:
                 raise CalibrationError(
-                    f'{len(gone)} of the {len(used)} boards of the calibration were dropped since;'
-                    ' calibrate again'
+                    f'the calibration has boards that were dropped since ({len(gone)} of'
+                    f' {len(used)}); calibrate again'
                 )
             options = self.options.of(RodOptions)
             names = options.left_camera_name, options.right_camera_name

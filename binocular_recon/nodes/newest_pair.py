@@ -67,7 +67,9 @@ class NewestPair:
             raise CalibrationError(f'not captured: the newest pair cannot be used: {problem}')
         why = silence()
         if pair is None:
-            raise CalibrationError(f'not captured: no synchronised pair yet; {why or "wait"}')
+            raise CalibrationError(
+                f'not captured: no synchronised pair yet; {why or "wait for the cameras"}'
+            )
         if pair is self._captured:
             raise CalibrationError(
                 'not captured: no synchronised pair has come since the last capture;'
