@@ -35,7 +35,8 @@ Publishers are reliable, volatile, keep last 1; subscribers have sensor data QoS
 volatile, depth 5). `qos_overrides.<topic>.<publisher|subscription>.<history|depth|reliability>`
 changes both. With `image_transport` = `compressed` a picture comes from `<topic>/compressed`.
 Every node publishes `/diagnostics` once a second: received, published and dropped by reason,
-processing time, the calibration in use and the last error.
+processing time, the calibration in use and the last error; `wls_filter_node` also the iterations
+and the estimated error of the last frame.
 
 A *live* parameter can be changed while the node runs; a value that is refused comes back with the
 reason. `preset` sets every parameter that was not set explicitly.

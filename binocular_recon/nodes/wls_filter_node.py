@@ -76,6 +76,8 @@ class WlsFilterNode(StereoNode):
             to_grey(picture),
             limits_px=measured.limits_px,
         )
+        self.health.state('iterations', str(filtered.iterations))
+        self.health.state('estimated error', f'{filtered.error_estimate_px:.4f} px')
         self._publish_disparity(filtered, measured, disparity, rig, left)
         if self.wanted(*_CLOUD_OUTPUTS):
             config = self.options.of(CloudConfig)

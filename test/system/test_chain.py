@@ -204,6 +204,22 @@ def test_frames_come_once(frames: list[Frame]) -> None:
 
 
 @pytest.mark.usefixtures('frames')
+def test_status_says_how_exact_the_filter_is(graph: Graph) -> None:
+    def exactness() -> dict[str, str]:
+        status = graph.status('/rig/wls_filter_node')
+        values = {pair.key: pair.value for pair in status.values} if status else {}
+        return {key: values[key] for key in ('iterations', 'estimated error') if key in values}
+
+    wait_until(lambda: len(exactness()) == 2, 'iterations and estimated error')
+    assert 1 <= int(exactness()['iterations']) < 100
+    assert (
+        0
+        <= float(exactness()['estimated error'].removesuffix(' px'))
+        <= CONFIG.filter.wls_tolerance_px
+    )
+
+
+@pytest.mark.usefixtures('frames')
 def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
     cameras = CameraPair(graph, raw_rig())
     limits = {'min_depth': 2.5, 'max_depth': 4.0}
