@@ -37,9 +37,11 @@ def consensus_fit(
     Returns
     -------
     x : (k,) float64 or None
-        None if no sample had an acceptable solution.
+        None if no sample had an acceptable solution, or no datum a weight.
 
     """
+    if not weight.any():
+        return None
     rng = np.random.default_rng(0)
     count = design.shape[1]
     ends = np.cumsum(weight)
@@ -57,12 +59,13 @@ def consensus_fit(
         agreed = float(weight @ np.maximum(0.0, 1 - miss**2))
         if agreed > most:
             best, most = x, agreed
-    return None if best is None else _refined(design, values, weight, scatter, best)
+    return None if best is None else refined_fit(design, values, weight, scatter, best)
 
 
-def _refined(
+def refined_fit(
     design: FloatArray, values: FloatArray, weight: FloatArray, scatter: float, x: FloatArray
 ) -> FloatArray:
+    """Improve a solution (k,) by weighted least squares with Geman-McClure weights."""
     for _ in range(STEPS):
         miss = (values - design @ x) / scatter
         trust = weight / (1 + miss**2) ** 2

@@ -15,7 +15,7 @@ import numpy as np
 
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.errors import ImageError
-from binocular_recon.evaluation.consensus import consensus_fit
+from binocular_recon.evaluation.consensus import consensus_fit, refined_fit
 from binocular_recon.images import to_grey
 from binocular_recon.stereo.pipeline import Reconstruction
 
@@ -30,11 +30,13 @@ CLEAR_OF_GROUND_M = 0.12
 BODY_HALF_WIDTH = 0.045
 BODY_DEPTH_M = 0.4
 # A bicycle reaches so far beyond its hubs and above the lower one, as a share of the wheelbase;
-# what lies behind its nearest points by more than its length is something else.
-BICYCLE_BEYOND, BICYCLE_ABOVE, BICYCLE_LENGTH_M, BICYCLE_HEIGHT_M = 0.36, 1.1, 1.2, 1.2
+# what lies behind its nearest points by more than its length is something else. Above the wheels
+# are handlebar and saddle, which reach out of their plane.
+BICYCLE_BEYOND, BICYCLE_ABOVE, BICYCLE_LENGTH_M, WHEEL_HEIGHT_M = 0.36, 1.1, 1.2, 0.7
 HUB_HALF_PX = 3
-# A hub sticks out of the plane of its wheels by less than this, px of disparity.
-HUB_OFFSET_PX = 0.8
+# A hub sticks out of the plane of its wheels, and a wheel lies off that of the whole bicycle, by
+# less than this, px of disparity.
+MOST_OFFSET_PX = 0.8
 # Box of the automatic height around a body, m, and the percentile taken as its top.
 BOX_HALF_M, TOP_PERCENTILE = 0.5, 99.9
 
@@ -189,27 +191,26 @@ class Ruler:
         )
         side, height, ahead = (self._points[window] @ self.level.T).reshape(-1, 3).T
         height = height + self.camera_height_m
-        chosen = (height > CLEAR_OF_GROUND_M) & (height < BICYCLE_HEIGHT_M)
+        chosen = (height > CLEAR_OF_GROUND_M) & (height < WHEEL_HEIGHT_M)
         if chosen.sum() < 2:
             raise ImageError(f'the cloud has no bicycle between {rear_px} and {front_px}')
         nearest = np.percentile(ahead[chosen], 5)
         ends = [self.level @ self.ray(pixel) for pixel in (rear_px, front_px)]
-        first, last = sorted(end[0] / end[2] for end in ends)
+        hubs = np.array([end[0] / end[2] for end in ends])
+        first, last = sorted(hubs)
         beyond = BICYCLE_BEYOND / nearest
         chosen &= (ahead < nearest + BICYCLE_LENGTH_M) & (side / ahead > first - beyond)
         chosen &= side / ahead < last + beyond
         ahead, direction = ahead[chosen], side[chosen] / ahead[chosen]
-        inverse = consensus_fit(
-            np.stack([np.ones_like(direction), direction], -1),
-            self._focal_baseline / ahead,
-            self._weight[window].ravel()[chosen],
-            SCATTER_PX,
-        )
+        disparity, weight = self._focal_baseline / ahead, self._weight[window].ravel()[chosen]
+        design = np.stack([np.ones_like(direction), direction], -1)
+        inverse = consensus_fit(design, disparity, weight, SCATTER_PX)
         if inverse is None:
             raise ImageError(f'the cloud has no bicycle between {rear_px} and {front_px}')
+        inverse = _through_wheels(inverse, direction, disparity, weight, hubs)
         plane = VerticalPlane(inverse, self.level, self._focal_baseline)
         out = [self._above_plane_px(plane, pixel) for pixel in (rear_px, front_px)]
-        seen = [offset for offset in out if abs(offset) < HUB_OFFSET_PX]
+        seen = [offset for offset in out if abs(offset) < MOST_OFFSET_PX]
         shift = np.array([np.mean(seen) if seen else 0.0, 0.0])
         return VerticalPlane(inverse + shift, self.level, self._focal_baseline)
 
@@ -231,14 +232,39 @@ class Ruler:
         return slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
 
 
+def _through_wheels(
+    inverse: FloatArray,
+    direction: FloatArray,
+    disparity: FloatArray,
+    weight: FloatArray,
+    hubs: FloatArray,
+) -> FloatArray:
+    """Return the plane through the middles of both wheels, each fitted by itself.
+
+    Matching flattens each wheel of a turned bicycle towards one disparity, which is right at the
+    hub: the slope within the wheels is fitted along and left out.
+    """
+    offset = direction[:, None] - hubs
+    near = abs(offset) < BICYCLE_BEYOND * abs(hubs[1] - hubs[0])
+    chosen = near.any(axis=1) & (weight > 0)
+    if near[chosen].sum(axis=0).min() < 2:
+        return inverse
+    design = np.column_stack([near, (near * offset).sum(axis=1)]).astype(np.float64)[chosen]
+    start = np.array([*(inverse[0] + inverse[1] * hubs), inverse[1]])
+    rear, front, _ = refined_fit(design, disparity[chosen], weight[chosen], SCATTER_PX, start)
+    if max(abs(rear - start[0]), abs(front - start[1])) > MOST_OFFSET_PX:
+        return inverse  # a wheel was not reconstructed: the frame is enough
+    slope = (front - rear) / (hubs[1] - hubs[0])
+    return np.array([rear - slope * hubs[0], slope])
+
+
 def _information(reconstruction: Reconstruction) -> FloatArray:
     """Return how much each point of the cloud tells about its distance, (H, W).
 
-    A disparity is measured where the picture changes along the row; elsewhere it is filled in
-    from there.
+    A disparity is measured where the picture changes along the row and the match was clear;
+    elsewhere it is filled in from there.
     """
     change = cv2.Sobel(to_grey(reconstruction.left), cv2.CV_32F, 1, 0)
-    information: FloatArray = np.sqrt(1.0 + cv2.GaussianBlur(change**2, (0, 0), 0.8)).astype(
-        np.float64
-    )
+    contrast = np.sqrt(1.0 + cv2.GaussianBlur(change**2, (0, 0), 0.8))
+    information: FloatArray = (contrast * reconstruction.matched.confidence).astype(np.float64)
     return information

@@ -94,6 +94,33 @@ def test_a_hub_that_was_not_reconstructed_is_no_loss(site: Site) -> None:
     assert ruler.wheelbase_m(*site.ends('bicycle')) == pytest.approx(1.0, abs=0.006)
 
 
+def test_wheels_that_matching_flattened_keep_their_distance(site: Site) -> None:
+    """Half the slope within each wheel is lost; its middle is where it was."""
+    disparity = site.disparity_px.copy()
+    ends = site.ends('bicycle')
+    length_px = ends[1][0] - ends[0][0]
+    hubs_px = [site.disparity_px[round(y) - 2, round(x)] for x, y in ends]
+    slope = (hubs_px[1] - hubs_px[0]) / length_px
+    assert abs(slope) > 0.02
+    half = round(0.36 * abs(length_px))
+    for x, y in ends:
+        window = slice(round(y) - half, round(y) + half), slice(round(x) - half, round(x) + half)
+        columns = np.arange(window[1].start, window[1].stop)
+        disparity[window] -= 0.5 * slope * (columns - x)
+    found = site.ruler(disparity).wheelbase_m(*ends)
+    assert found == pytest.approx(1.0, abs=0.002)
+
+
+def test_a_wheel_that_was_not_reconstructed_leaves_the_frame(site: Site) -> None:
+    """In its place the cloud has what lies a metre behind."""
+    disparity = site.disparity_px.copy()
+    x, y = np.rint(site.picks['bicycle_front']).astype(int)
+    behind = disparity[y, x] - 4.5
+    disparity[y - 40 : y + 40, x - 10 : x + 40] = behind
+    found = site.ruler(disparity).wheelbase_m(*site.ends('bicycle'))
+    assert found == pytest.approx(1.0, abs=0.08)
+
+
 def test_a_cloud_without_ground_or_thing_is_refused(site: Site) -> None:
     nothing = np.full_like(site.disparity_px, np.nan)
     with pytest.raises(ImageError, match='too few to find the ground'):
