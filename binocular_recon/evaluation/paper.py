@@ -36,7 +36,7 @@ from binocular_recon.simulation.scene import Scene, build_scene, render_scene
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 
 PEOPLE, BICYCLE = ('person_1', 'person_2'), 'bicycle'
-BOARDS, PICKS, MARK_NOISE_PX, PICK_NOISE_PX = 22, 10, 0.2, 0.3
+BOARDS, PICKS, MARK_NOISE_PX, PICK_NOISE_PX = 22, 10, 0.12, 0.3
 # The cloud is cropped to the first range; matching searches the second, so that walls behind and
 # ground before are found where they are.
 CROP_M, SEARCH_M = (9.0, 21.5), (8.0, 40.0)
