@@ -29,7 +29,8 @@ Names are relative: a rig runs in one namespace. All outputs carry the stamp of 
 outputs of the right camera keep its frame, all others have the left one. A message is made only
 when somebody subscribes to it, and a node subscribes only while somebody listens to it. Work on a
 frame happens beside the executor, the newest pair first: a node that cannot keep up drops old
-pairs and counts them.
+pairs and counts them. In `wls_filter_node` pictures wait for their disparities: it holds matching
+time times frame rate of them, at most `queue_size`, and says so when these are too few.
 
 Publishers are reliable, volatile, keep last 1; subscribers have sensor data QoS (best effort,
 volatile, depth 5). `qos_overrides.<topic>.<publisher|subscription>.<history|depth|reliability>`
