@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from binocular_recon.calibration._board_faults import fault
 from binocular_recon.calibration._linearisation import State, linearise
 from binocular_recon.calibration.bundle_adjustment import (
     HUBER,
@@ -22,6 +23,7 @@ from binocular_recon.calibration.bundle_adjustment import (
     normal_equations,
     weighted_rows,
 )
+from binocular_recon.calibration.planar import MIN_MARKS
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
 
@@ -62,6 +64,8 @@ class Estimate:
         Boards left out and why.
     covariance : (n, n) float64
         Of the free parameters of the calibration.
+    settled : bool
+        Whether outliers and noise stayed the same in the last round.
 
     """
 
@@ -71,6 +75,7 @@ class Estimate:
     outliers: Mask
     bad_boards: dict[int, str]
     covariance: FloatArray
+    settled: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,12 +133,13 @@ def estimate(problem: Problem, state: State) -> Estimate:
     given = problem.observed_px
     boards = np.arange(len(given))
     bad_boards: dict[int, str] = {}
+    settled = True
     for _ in range(len(boards) + _ROUNDS):
         state = minimise(problem, state)
         fit = judge(problem, given[boards], state)
-        worst = _worst_board(fit)
+        worst, reason = _worst_board(fit)
         if worst is not None and len(boards) > MIN_BOARDS:
-            bad_boards[int(boards[worst])] = _reason(fit, worst)
+            bad_boards[int(boards[worst])] = reason
             keep = np.arange(len(boards)) != worst
             boards, state = boards[keep], state.select(keep)
             problem = replace(problem, observed_px=given[boards], sigma_px=fit.robust_sigma_px)
@@ -142,6 +148,13 @@ def estimate(problem: Problem, state: State) -> Estimate:
         if _settled(problem, following):
             break
         problem = following
+    else:
+        state = minimise(problem, state)
+        fit = judge(problem, given[boards], state)
+        settled = False
+    for board in bad_boards:
+        if told := fault(state.calibration, problem.target.nominal_m, given[board]):
+            bad_boards[board] = told
     covariance, _ = normal_equations(problem, state).covariance()
     return Estimate(
         problem=problem,
@@ -150,6 +163,7 @@ def estimate(problem: Problem, state: State) -> Estimate:
         outliers=~problem.seen & np.isfinite(fit.lengths),
         bad_boards=bad_boards,
         covariance=covariance,
+        settled=settled,
     )
 
 
@@ -216,8 +230,8 @@ def _settled(problem: Problem, following: Problem) -> bool:
     )
 
 
-def _worst_board(fit: Fit) -> int | None:
-    """Return the board that fits least, None if all fit."""
+def _worst_board(fit: Fit) -> tuple[int | None, str]:
+    """Return the board that fits least and why, None if all fit."""
     count = len(fit.lengths)
     lengths, errors_px = (a.reshape(count, -1) for a in (fit.lengths, fit.errors_px))
     typical = np.minimum(
@@ -227,7 +241,16 @@ def _worst_board(fit: Fit) -> int | None:
     lost = fit.outliers.reshape(count, -1).sum(axis=1) / np.isfinite(lengths).sum(axis=1)
     score = np.maximum(typical, lost / BOARD_MARK_LOSS)
     worst = int(np.argmax(score))
-    return worst if score[worst] > 1 else None
+    if score[worst] > 1:
+        return worst, _reason(fit, worst)
+    good = np.isfinite(fit.lengths) & ~fit.outliers
+    left = good.sum(axis=(1, 2)).min(axis=1)
+    worst = int(np.argmin(left))
+    if left[worst] < MIN_MARKS:
+        return worst, (
+            f'only {left[worst]} marks of one picture fit, at least {MIN_MARKS} are needed in each'
+        )
+    return None, ''
 
 
 def _reason(fit: Fit, board: int) -> str:

@@ -42,7 +42,7 @@ def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
 def _rod_errors(marks: FloatArray, heights: FloatArray) -> FloatArray:
     errors = np.full(len(marks), np.nan)
     seen = np.isfinite(marks).all(axis=-1)
-    if seen.sum() < 3:
+    if seen.sum() < 2:
         return errors
     known = heights[seen] - heights[seen].mean()
     centred = marks[seen] - marks[seen].mean(axis=0)

@@ -187,7 +187,11 @@ def _heights(result: CalibrationResult) -> str:
     for name in METHODS:
         errors = 1e3 * mark_errors_m(getattr(result, name).marks_m, target)
         errors = errors[np.isfinite(errors)]
-        rows.append((name, f'{np.sqrt(np.mean(errors**2)):.2f}', f'{np.abs(errors).max():.2f}'))
+        if errors.size:
+            rms = np.sqrt(np.mean(errors**2))
+            rows.append((name, f'{rms:.2f}', f'{np.abs(errors).max():.2f}'))
+    if not rows:
+        return ''
     known = [figure(charts.known_heights(result), legend(*METHODS.items()))]
     if target.has_rods:
         known.append(

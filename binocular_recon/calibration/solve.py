@@ -99,10 +99,8 @@ def solve(
 
     say('polar-line correction and recalibration')
     used = adjusted.problem.observed_px
-    if adjusted.bad_boards or adjusted.outliers.any():
-        # all three methods are given the same marks
-        planar = calibrate_planar(used, target, image_size)
-    corrected, notes = _corrected(used, target, planar, adjusted.state)
+    planar, notes = _planar(adjusted, planar)
+    corrected, more = _corrected(used, target, planar, adjusted.state)
     rig = metric_rig(adjusted.state.calibration)
     rectified = corrected_marks(
         used, adjusted.state.calibration, correction_of(adjusted.state.calibration, rig)
@@ -117,9 +115,22 @@ def solve(
         evidence=evidence,
         model=model,
         rejected=tuple(lost),
-        warnings=warnings_of(adjusted) + notes,
+        warnings=warnings_of(adjusted) + notes + more,
         advice=advise(adjusted),
     )
+
+
+def _planar(adjusted: Estimate, first: State) -> tuple[State, tuple[str, ...]]:
+    """Return the planar calibration of the marks that were used; what is odd, in words."""
+    if not adjusted.bad_boards and not adjusted.outliers.any():
+        return first, ()
+    problem = adjusted.problem
+    try:
+        again = calibrate_planar(problem.observed_px, problem.target, first.calibration.image_size)
+    except CalibrationError as error:
+        note = f'the planar calibration is that of all marks, outliers too: {error}'
+        return first.select(np.array(adjusted.boards)), (note,)
+    return again, ()
 
 
 def _corrected(
@@ -129,14 +140,12 @@ def _corrected(
     notes: tuple[str, ...] = ()
     start = planar.calibration
     try:
-        again = recalibrate(used, target, start)
-        pair = free_pair(start)
+        again, pair = recalibrate(used, target, start), free_pair(start)
     except CalibrationError as error:
         # few boards of carelessly placed rods: the adjustment still works, Zhang's method does not
         notes = (f'polar-line correction started from the adjusted calibration: {error}',)
         start = adjusted.calibration
-        again = recalibrate(used, target, start)
-        pair = free_pair(start)
+        again, pair = recalibrate(used, target, start), free_pair(start)
     stage = Stage(
         calibration=again.state.calibration,
         residuals_px=used - again.predicted_px,

@@ -57,6 +57,10 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
             f'the rods stand less exactly than stated ({spread}); the larger spread was used, but'
             ' check the positions in rods.yaml'
         )
+    if not found.settled:
+        warnings.append(
+            'which marks to leave out was not settled; look for a board with many marks left out'
+        )
     warnings += _misplaced_marks(found) + _rarely_found(found)
     for side in ('left', 'right'):
         unusable = 1 - Picture.of(found.state.calibration, side).usable_share

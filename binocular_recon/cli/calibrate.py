@@ -145,6 +145,8 @@ def _marks_of_pictures(args: argparse.Namespace) -> _Marks:
 
 def _marks_of_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
+    for reason in table.left_out:
+        print(f'left out: {reason}')
     if args.image_size is None:
         size = table.least_size
         print('pictures are taken to be {}x{} px; give --image-size WxH if not'.format(*size))

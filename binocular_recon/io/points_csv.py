@@ -40,12 +40,15 @@ class PointTable:
         The points' places.
     least_size : (int, int)
         Smallest usual picture size, px, that holds all points.
+    left_out : tuple of str
+        Rows without numbers, and what is wrong with each.
 
     """
 
     captures: tuple[Capture, ...]
     target: Target
     least_size: tuple[int, int]
+    left_out: tuple[str, ...]
 
 
 def read_points(path: Path) -> PointTable:
@@ -56,7 +59,7 @@ def read_points(path: Path) -> PointTable:
     FileError
         If the file cannot be read.
     CalibrationError
-        If a column is missing or a row is wrong; the message names file and line.
+        If a column is missing or a row contradicts another one; the message names file and line.
 
     """
     try:
@@ -69,12 +72,14 @@ def read_points(path: Path) -> PointTable:
                     f' {", ".join(COLUMNS)}'
                 )
             rows = [_row(row, f'{path}, line {reader.line_num}') for row in reader]
+        left_out = tuple(row for row in rows if isinstance(row, str))
+        points = [row for row in rows if not isinstance(row, str)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, 'strerror', None) or error
         raise FileError(f'{path} cannot be read: {reason}; give a table of points') from error
-    if not rows:
-        raise CalibrationError(f'{path} holds no points')
-    return _table(rows)
+    if not points:
+        raise CalibrationError(f'{path} holds no points; {left_out[0] if left_out else "fill it"}')
+    return _table(points, left_out)
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,8 @@ class _Row:
     pixel: tuple[float, float]
 
 
-def _row(row: dict[str, str], where: str) -> _Row:
+def _row(row: dict[str, str], where: str) -> _Row | str:
+    """Return a row, or why it is left out."""
     if row['side'] not in {'left', 'right'}:
         raise CalibrationError(f'{where}: side must be left or right, got {row["side"]!r}')
     try:
@@ -95,14 +101,12 @@ def _row(row: dict[str, str], where: str) -> _Row:
     except (TypeError, ValueError):
         numbers = [np.nan]
     if not np.isfinite(numbers).all():
-        raise CalibrationError(
-            f'{where}: {", ".join(COLUMNS[3:])} must be numbers; leave out points not found'
-        )
+        return f'{where}: {", ".join(COLUMNS[3:])} must be numbers; leave out points not found'
     X, Y, u, v = numbers
     return _Row(where, row['name'], row['side'], row['id'], (X, Y), (u, v))
 
 
-def _table(rows: list[_Row]) -> PointTable:
+def _table(rows: list[_Row], left_out: tuple[str, ...]) -> PointTable:
     places: dict[str, tuple[float, float]] = {}
     for row in rows:
         if not np.allclose(places.setdefault(row.point, row.place), row.place, atol=1e-6):
@@ -132,5 +136,6 @@ def _table(rows: list[_Row]) -> PointTable:
             for name, sides in boards.items()
         ),
         target=Target.from_points(points),
+        left_out=left_out,
         least_size=min(fitting, key=lambda size: size[0] * size[1]),
     )

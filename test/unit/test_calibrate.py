@@ -32,12 +32,22 @@ OPTIONS = CaptureOptions(depth_m=(3.0, 8.0))
 
 @pytest.fixture(scope='module')
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six boards, of which one cannot be read, one lacks a picture and one has another size."""
+    """Five good boards and one for each mishap."""
     folder = tmp_path_factory.mktemp('captures')
-    for index in range(5):
-        capture = simulate_capture(BOARD, RIG, np.random.default_rng([7, index]), OPTIONS)
-        for side, image in (('left', capture.left), ('right', capture.right)):
-            cv2.imwrite(str(folder / f'{side}_{index}.png'), image)
+
+    def save(name: str, left: np.ndarray[Any, Any], right: np.ndarray[Any, Any]) -> None:
+        cv2.imwrite(str(folder / f'left_{name}.png'), left)
+        cv2.imwrite(str(folder / f'right_{name}.png'), right)
+
+    taken = [
+        simulate_capture(BOARD, RIG, np.random.default_rng([7, index]), OPTIONS)
+        for index in range(8)
+    ]
+    for index, capture in enumerate(taken[:5]):
+        save(f'{index}', capture.left, capture.right)
+    save('blurred', *(cv2.blur(image, (9, 9)) for image in (taken[5].left, taken[5].right)))
+    save('moved', taken[5].left, taken[6].right)
+    save('swapped', taken[7].right, taken[7].left)
     (folder / 'left_5.png').write_bytes(b'not a picture')
     cv2.imwrite(str(folder / 'right_5.png'), np.zeros((600, 960), np.uint8))
     cv2.imwrite(str(folder / 'left_6.png'), np.zeros((600, 960), np.uint8))
@@ -67,8 +77,11 @@ def test_pictures_to_a_calibrated_rig(
     assert reasons['6'] == 'there is no right picture'
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
     assert 'no board found' in reasons['8']
+    assert 'rods were moved in between' in reasons['moved']
+    assert 'left and right picture are exchanged' in reasons['swapped']
+    assert 'blurred' in reasons
     assert all(f'left out: {name}: ' in text for name in reasons)
-    pattern = r'^9 boards in [\d.]+ s: marks [\d.]+ s, calibration [\d.]+ s, report [\d.]+ s'
+    pattern = r'^12 boards in [\d.]+ s: marks [\d.]+ s, calibration [\d.]+ s, report [\d.]+ s'
     assert re.search(pattern, text, re.MULTILINE)
     if Path('/proc/self/status').exists():
         (peak_mb,) = re.findall(r'at most (\d+) MB of memory', text)
@@ -87,7 +100,7 @@ def _check_pictures(report: str, content: dict[str, Any]) -> None:
     images = dict(
         re.findall(r'<img alt="Board (\w+)" src="data:image/jpeg;base64,([^"]+)"', report)
     )
-    assert set(images) == set('012345678')
+    assert set(images) == {*'012345678', 'blurred', 'moved', 'swapped'}
     image = cv2.imdecode(np.frombuffer(b64decode(images['0']), np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (400, 1280, 3)
     blue, green, red = image.astype(int).transpose(2, 0, 1)

@@ -37,15 +37,21 @@ def test_missing_points_are_missing_marks(tmp_path: Path) -> None:
     assert np.isnan(capture.right_px[0]).all() and np.isfinite(capture.right_px[1]).all()
 
 
+def test_rows_that_are_no_numbers_are_named_and_left_out(tmp_path: Path) -> None:
+    rows = 'a,left,p,0,0,10,20\na,left,q,1,0,nan,nan\na,right,q,1,0,25\na,right,p,0,0,5,20\n'
+    table = read_points(written(tmp_path, HEAD + rows))
+    assert len(table.left_out) == 2
+    assert 'line 3: ' in table.left_out[0] and 'line 4: ' in table.left_out[1]
+    assert table.target.shape == (1, 1) and np.isfinite(table.captures[0].right_px).all()
+
+
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
         ('name,side,id,X_m,Y_m,u_px\n', 'lacks the columns v_px'),
         (HEAD, 'holds no points'),
         (HEAD + 'a,middle,0,0,0,1,1\n', "line 2: side must be left or right, got 'middle'"),
-        (HEAD + 'a,left,0,0,0,x,1\n', 'line 2: .* must be numbers'),
-        (HEAD + 'a,left,0,0,0,nan,1\n', 'must be numbers'),
-        (HEAD + 'a,left,0,0,0,1\n', 'must be numbers'),
+        (HEAD + 'a,left,0,0,0,x,1\n', 'holds no points; .*line 2: .* must be numbers'),
         (HEAD + 'a,left,0,0,0,1,1\nb,left,0,0.5,0,1,1\n', 'line 3: point 0 lies at'),
         (HEAD + 'a,left,0,0,0,1,1\na,left,0,0,0,2,1\n', 'appears twice in the left picture of a'),
         (HEAD + 'a,left,0,0,0,1e9,1\n', 'must be in pixels'),

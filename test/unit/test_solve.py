@@ -18,10 +18,14 @@ from binocular_recon.calibration.screening import Rejected, observations
 from binocular_recon.calibration.solve import solve
 from binocular_recon.calibration.target import Target
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation.calibration_check import check_rows, depth_errors_m
+from binocular_recon.evaluation.calibration_check import (
+    check_rows,
+    depth_errors_m,
+    simulated_captures,
+)
 from binocular_recon.io.points_csv import read_points
 from binocular_recon.simulation.rig import survey_rig
-from binocular_recon.simulation.rods import PlacedBoard, place_board
+from binocular_recon.simulation.rods import PlacedBoard, draw_board, place_board
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, solved, truth
 
 
@@ -205,7 +209,9 @@ def test_swapped_pictures_are_refused() -> None:
         solve(captures, board_of(0.005), SIZE)
 
 
-@pytest.mark.parametrize('kind', ['swapped', 'blurred', 'moved', 'exchanged rods', 'repeated'])
+@pytest.mark.parametrize(
+    'kind', ['swapped', 'blurred', 'moved', 'exchanged rods', 'next rods', 'repeated']
+)
 def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
     rng = np.random.default_rng(3)
 
@@ -222,6 +228,8 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
             right[:, :, 1] += 1.5
         elif kind == 'exchanged rods':
             left[[1, 2]], right[[1, 2]] = left[[2, 1]], right[[2, 1]]
+        elif kind == 'next rods':  # one picture alone does not tell
+            right[1:], right[0] = right[:-1].copy(), np.nan
         else:
             left = captures[2].left_px + rng.normal(0, 0.2, left.shape)
             right = captures[2].right_px + rng.normal(0, 0.2, right.shape)
@@ -230,9 +238,10 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
     result = solve(spoilt(change), board_of(0.005), SIZE)
     assert [board.name for board in result.rejected] == ['04']
     expected = {
-        'swapped': 'a rod moved between its two pictures',
+        'swapped': 'its left and right picture are exchanged',
+        'next rods': 'do not agree on where the rods stand',
         'blurred': 'blurred',
-        'moved': 'a rod moved between its two pictures',
+        'moved': 'the rods were moved in between',
         'exchanged rods': 'a rod or a mark was taken for another one',
         'repeated': 'it repeats board 03',
     }[kind]
@@ -241,6 +250,37 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
     assert any('10 boards were used' in warning for warning in result.warnings)
     errors = depth_errors_m(result.calibration, truth())[1]
     assert np.sqrt(np.mean(errors**2)) < 3 * result.depth_sigma_m(15, 0.0)
+
+
+def test_a_board_with_too_few_good_marks_is_named() -> None:
+    """Six marks, of which three are off in one picture: less than Zhang's method needs."""
+
+    def change(captures: list[Capture]) -> None:
+        weak = np.zeros((5, 6, 1), np.bool_)
+        weak[np.ix_([0, 4], [0, 2, 5])] = True
+        left, right = (
+            np.where(weak, px, np.nan) for px in (captures[3].left_px, captures[3].right_px)
+        )
+        for rod, mark, off in ((0, 0, 3.0), (0, 2, -3.0), (4, 5, 3.0)):
+            left[rod, mark] += (off, 2.0)
+        captures[3] = Capture('weak', left, right)
+
+    result = solve(spoilt(change), board_of(0.005), SIZE)
+    (left_out,) = result.rejected
+    assert left_out.name == 'weak' and 'marks of one picture fit' in left_out.reason
+    assert len(result.names) == 10
+
+
+def test_rods_far_off_their_row_are_no_contradiction() -> None:
+    board = replace(
+        board_of(0.003), rods_xz_m=np.array([(0.6 * i, 0.6 * (i % 2)) for i in range(5)])
+    )
+    rig = survey_rig()
+    rng = np.random.default_rng(0)
+    placed = [draw_board(board, rig, rng) for _ in range(11)]
+    result = solve(simulated_captures(rig, placed, 0.2, (0, 0)), board, SIZE)
+    assert not result.rejected
+    assert result.adjusted.error_px < 1.15 * 0.2
 
 
 def wrong_board(**changes: object) -> RodBoard:
