@@ -7,7 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from binocular_recon.evaluation.paper import BICYCLE, PEOPLE, PICK_NOISE_PX, PaperRun
+from binocular_recon.evaluation.paper import (
+    BICYCLE,
+    MARK_NOISE_PX,
+    PEOPLE,
+    PICK_NOISE_PX,
+    PaperRun,
+)
 from binocular_recon.evaluation.summary import figure, markdown_table
 
 # Table 1: uncorrected left and right row, corrected left and right row of six points, px.
@@ -48,7 +54,7 @@ def report(runs: Sequence[PaperRun]) -> str:
     )
     words_2 = (
         'Table 2: reprojection error in the original pictures,'
-        f' {len(first[0].boards_px)} boards of one site.'
+        f' {len(first[0].boards_px)} boards of one site, {_marks(first[0])}.{_other_sites(runs)}'
     )
     words_3 = (
         f'Table 3: sizes at 10-20 m, {len({run.seed for run in runs})} sites,'
@@ -119,6 +125,31 @@ def table_3(runs: Sequence[PaperRun]) -> str:
             label = f'{NAMES[name].split(",")[0]}, {text}'
             rows.append([label, '', *(figure(value) for value in ours), ''])
     return markdown_table(header, rows)
+
+
+def _marks(run: PaperRun) -> str:
+    if run.rendered:
+        return 'rods detected in pictures'
+    return f'marks simulated with {MARK_NOISE_PX:g} px of noise'
+
+
+def _other_sites(runs: Sequence[PaperRun]) -> str:
+    """Return Table 2's means over all sites with simulated marks, if those are not the first."""
+    if not runs[0].rendered or all(run.rendered for run in runs):
+        return ''
+    simulated = [run for run in runs if not run.rendered]
+    means = []
+    for placement in sorted({run.placement_m for run in simulated}):
+        boards = [board for run in _of(simulated, placement) for board in run.boards_px]
+        values = ' / '.join(
+            figure(float(np.mean([board[f'{stage}_px'] for board in boards])), 3)
+            for stage in ('uncorrected', 'corrected', 'adjusted')
+        )
+        means.append(f'{_placement(placement)}: {values}')
+    return (
+        f' Mean of the other {len({run.seed for run in simulated})} sites, {_marks(simulated[0])},'
+        f' planar / corrected / adjusted, px: {"; ".join(means)}.'
+    )
 
 
 def nearest_to_paper(runs: Sequence[PaperRun]) -> PaperRun:

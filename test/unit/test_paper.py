@@ -166,6 +166,20 @@ def test_table_1_shows_the_board_nearest_to_the_papers_and_means_of_all(
     assert words.endswith('uncorrected 5.000, corrected 0.200, adjusted 0.100.')
 
 
+def test_table_2_says_how_marks_were_made(finished: tuple[Path, dict[str, Any]]) -> None:
+    run = PaperRun(**finished[1]['runs'][0])
+    board = {'uncorrected_px': 0.3, 'corrected_px': 0.2, 'adjusted_px': 0.1}
+    other = replace(run, seed=9, boards_px=[board])
+
+    def words(*runs: PaperRun) -> str:
+        return next(line for line in report(runs).splitlines() if line.startswith('Table 2'))
+
+    assert words(run, other).endswith('marks simulated with 0.12 px of noise.')
+    detected = replace(run, rendered=True)
+    assert words(detected).endswith('rods detected in pictures.')
+    assert words(detected, other).endswith('px: rods exact: 0.300 / 0.200 / 0.100.')
+
+
 def test_unwritable_folder_is_said_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
