@@ -52,8 +52,9 @@ def calibrate_planar(
 ) -> State:
     """Calibrate both cameras and their pose from boards taken as exact and without thickness.
 
-    Zhang's method per camera, then both cameras and all boards refined together, as
-    ``cv2.stereoCalibrate`` does; left and right are free to differ.
+    Zhang's method per camera, then both cameras and all boards refined together by
+    `bundle_adjustment`: as ``cv2.stereoCalibrate``, but robust against single marks and with
+    its priors on lenses; left and right are free to differ.
 
     Parameters
     ----------

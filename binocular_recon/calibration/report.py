@@ -68,7 +68,7 @@ def render_report(result: CalibrationResult, pictures: Sequence[BoardPicture] = 
 def _summary(result: CalibrationResult) -> str:
     calibration, sigma = result.calibration, result.sigma
     depth = _working_depth(result)
-    marks = int(np.isfinite(result.adjusted.residuals_px).sum()) // 2
+    marks = int(np.isfinite(result.adjusted.residuals_px).all(axis=-1).sum())
     width, height = calibration.image_size
     noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
     cards = (
@@ -82,7 +82,10 @@ def _summary(result: CalibrationResult) -> str:
             f'focal length left / right, ± {sigma["fx_left_px"]:.2g} px',
         ),
         (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
-        (f'{len(result.names)}', f'boards used, {marks} marks, {width}x{height} px'),
+        (
+            f'{len(result.names)}',
+            f'boards used, {marks} marks in both pictures, {width}x{height} px',
+        ),
     )
     items = ''.join(f'<li><b>{value}</b><span>{label}</span></li>' for value, label in cards)
     return f'<ul class="cards">{items}</ul>'

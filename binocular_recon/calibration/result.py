@@ -219,8 +219,8 @@ class CalibrationResult:
         }
 
     def _boards(self) -> list[dict[str, Any]]:
-        used = np.isfinite(self.adjusted.residuals_px)
-        counts = used.reshape(len(used), -1).sum(axis=1) // 2
+        # in both pictures, as a crew counts them
+        counts = np.isfinite(self.adjusted.residuals_px).all(axis=-1).sum(axis=(1, 2))
         return [
             {
                 'name': name,

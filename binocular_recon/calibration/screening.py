@@ -71,21 +71,22 @@ def usable_boards(
     """
     usable: list[Capture] = []
     lost = list(rejected)
-    misfits = 0
+    misfits: list[Rejected] = []
     for capture in captures:
         _check_shape(capture, target)
         reason = _too_few_marks(capture, target)
         if reason is None and (reason := _misfit(capture, target, image_size)):
-            misfits += 1
+            misfits.append(Rejected(capture.name, reason))
         reason = reason or _repetition(capture, usable)
         if reason is None:
             usable.append(capture)
         else:
             lost.append(Rejected(capture.name, reason))
-    if misfits > len(captures) / 2:
+    if len(misfits) > len(captures) / 2:
         raise CalibrationError(
-            f'the marks of {misfits} of {len(captures)} boards do not lie as described (such as'
-            f' {_listed(lost[-1:])}); check the positions of the rods and the heights of the marks'
+            f'the marks of {len(misfits)} of {len(captures)} boards do not lie as described (such'
+            f' as {_listed(misfits[:1])}); check the positions of the rods and the heights of the'
+            ' marks'
         )
     check_count(len(usable), lost)
     _check_rods(usable, target)

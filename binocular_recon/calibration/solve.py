@@ -100,17 +100,18 @@ def solve(
     say('polar-line correction and recalibration')
     used = adjusted.problem.observed_px
     planar, notes = _planar(adjusted, planar)
-    corrected, more = _corrected(used, target, planar, adjusted.state)
     rig = metric_rig(adjusted.state.calibration)
     rectified = corrected_marks(
         used, adjusted.state.calibration, correction_of(adjusted.state.calibration, rig)
     )
+    final = _stage(adjusted.state, target, used, _rows(rectified))
+    corrected, more = _corrected(used, target, planar, final)
     return CalibrationResult(
         names=tuple(usable[i].name for i in adjusted.boards),
         rig=rig,
         planar=_stage(planar, target.as_drawn(), used, _rows(used)),
         corrected=corrected,
-        adjusted=_stage(adjusted.state, target, used, _rows(rectified)),
+        adjusted=final,
         estimate=adjusted,
         evidence=evidence,
         model=model,
@@ -134,18 +135,20 @@ def _planar(adjusted: Estimate, first: State) -> tuple[State, tuple[str, ...]]:
 
 
 def _corrected(
-    used: FloatArray, target: Target, planar: State, adjusted: State
+    used: FloatArray, target: Target, planar: State, adjusted: Stage
 ) -> tuple[Stage, tuple[str, ...]]:
     """Calibrate again after correction with the planar calibration; what is odd, in words."""
     notes: tuple[str, ...] = ()
-    start = planar.calibration
-    try:
-        again, pair = recalibrate(used, target, start), free_pair(start)
-    except CalibrationError as error:
-        # few boards of carelessly placed rods: the adjustment still works, Zhang's method does not
-        notes = (f'polar-line correction started from the adjusted calibration: {error}',)
-        start = adjusted.calibration
-        again, pair = recalibrate(used, target, start), free_pair(start)
+    # few boards of carelessly placed rods: the adjustment still works, Zhang's method does not
+    for start in (planar.calibration, adjusted.calibration):
+        try:
+            again, pair = recalibrate(used, target, start), free_pair(start)
+            break
+        except CalibrationError as error:
+            odd = 'polar-line correction {}: ' + str(error)
+            notes = (odd.format('started from the adjusted calibration'),)
+    else:
+        return adjusted, (odd.format('was not possible, its column repeats the adjustment'),)
     stage = Stage(
         calibration=again.state.calibration,
         residuals_px=used - again.predicted_px,

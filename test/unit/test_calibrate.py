@@ -106,7 +106,7 @@ def _check_pictures(report: str, content: dict[str, Any]) -> None:
     blue, green, red = image.astype(int).transpose(2, 0, 1)
     vivid = (green > blue + 60) & (green > red + 60)
     # a circle 5 px in radius and 2 px thick around each mark of both pictures
-    assert vivid.sum() > 20 * content['boards'][0]['marks']
+    assert vivid.sum() > 40 * content['boards'][0]['marks']
 
 
 def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

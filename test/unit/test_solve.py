@@ -10,6 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from binocular_recon.calibration import estimation
+from binocular_recon.calibration import solve as solving
+from binocular_recon.calibration.bundle_adjustment import minimise
 from binocular_recon.calibration.distortion import Evidence, choose_model
 from binocular_recon.calibration.metric_rectification import correction_of, metric_rig
 from binocular_recon.calibration.recalibration import corrected_marks
@@ -67,7 +70,7 @@ def test_result_states_the_three_methods_and_their_errors() -> None:
         content['sigma']
     )
     assert set(content['depth_sigma_m']) == {'10', '15', '20'}
-    assert len(content['boards']) == 11 and content['boards'][0]['marks'] == 60
+    assert len(content['boards']) == 11 and content['boards'][0]['marks'] == 30
     for board in content['boards']:
         assert board['adjusted_px'] < 1.15 * 0.2
     planar, adjusted = (
@@ -269,6 +272,28 @@ def test_a_board_with_too_few_good_marks_is_named() -> None:
     (left_out,) = result.rejected
     assert left_out.name == 'weak' and 'marks of one picture fit' in left_out.reason
     assert len(result.names) == 10
+
+
+def test_an_unsettled_adjustment_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rounds run out: state and problem still belong together."""
+    monkeypatch.setattr(estimation, '_ROUNDS', -10)
+    result = solve(captures_of(), board_of(0.005), SIZE)
+    assert any('was not settled' in warning for warning in result.warnings)
+    found = result.estimate
+    again = minimise(found.problem, found.state).calibration
+    np.testing.assert_allclose(again.T, found.state.calibration.T, atol=1e-6)
+
+
+def test_without_correction_its_column_repeats_the_adjustment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object) -> None:
+        raise CalibrationError('no camera fits')
+
+    monkeypatch.setattr(solving, 'recalibrate', fail)
+    result = solve(captures_of(), board_of(0.005), SIZE)
+    assert any('its column repeats the adjustment: no camera fits' in w for w in result.warnings)
+    assert result.corrected.error_px == result.adjusted.error_px
 
 
 def test_rods_far_off_their_row_are_no_contradiction() -> None:
