@@ -109,7 +109,7 @@ def test_clutter_occlusion_frame_and_tilt(shared_data: Path) -> None:
         ([0.25 * i for i in range(20)], [0.3 + 0.15 * i for i in range(10)], 0.03, 11.0),
         ([0.0, 1.0], [0.3, 0.6, 0.9, 1.2], 0.1, 4.2),
         # 3 px wide
-        ([0.0, 0.6, 1.2, 1.8, 2.4], [0.3, 0.6, 0.9, 1.2, 1.5, 1.8], 0.028, 14.0),
+        ([0.0, 0.6, 1.2, 1.8, 2.4], [0.3, 0.6, 0.9, 1.2, 1.5, 1.8], 0.028, 15.4),
     ],
 )
 def test_any_number_of_rods_and_any_spacing(
