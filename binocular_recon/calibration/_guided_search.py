@@ -19,8 +19,8 @@ from binocular_recon.images import FloatImage
 # Agreement of the grey levels around a border with the rods' own that makes it a mark
 # (1 = equal, 0 = no border).
 AGREEMENT = 0.45
-# The same for the only mark of a rod.
-LONE_AGREEMENT = 0.8
+# Marks of a rod that vouch for each other: a lone one may be a corner of something else.
+LEAST_MARKS = 2
 # Something in front of the rod may come as near to a border as this, px.
 NEAR_RISE_PX = 2.0
 # How near the frame a mark may be, px.
@@ -90,8 +90,8 @@ def complete(
             near, rises = middle, rises[[0, 0]]
         search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
         new = missing & (agreement > AGREEMENT)
-        if missing.all() and new.sum() < 2:
-            new = missing & (agreement > LONE_AGREEMENT)
+        if missing.all() and new.sum() < LEAST_MARKS:
+            continue
         completed[rod, new] = points[new]
     return completed
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from binocular_recon.calibration._board_layout import Layout, identify
 from binocular_recon.calibration._board_plane import plane_marks, predict_marks
-from binocular_recon.calibration._guided_search import Averaged, complete
+from binocular_recon.calibration._guided_search import LEAST_MARKS, Averaged, complete
 from binocular_recon.calibration._identity import settle_identity
 from binocular_recon.calibration._refinement import Refined, refine
 from binocular_recon.calibration._rod_search import Track, find_tracks
@@ -142,6 +142,8 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | N
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
+            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < LEAST_MARKS
+            refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
             return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
         if identity is None:
             break

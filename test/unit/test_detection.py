@@ -189,10 +189,12 @@ def test_hidden_marks_are_not_invented() -> None:
     assert detection.messages == ('28 of 30 marks',)
 
 
-def test_missing_rod_is_named() -> None:
+@pytest.mark.parametrize('marks', [0, 1])
+def test_missing_rod_is_named(marks: int) -> None:
+    """A lone mark has nothing that vouches for it."""
     image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
-    x = placed.borders_px(LEFT)[2, :, 0].mean()
-    image[:, int(x) - 15 : int(x) + 16] = 110
+    x, y = placed.borders_px(LEFT)[2, -1].astype(int)
+    image[marks * (y + 15) :, x - 15 : x + 16] = 110
     detection = detect_rods(image, placed.board)
     assert detection.messages == ('rod 3 of 5 not found', '24 of 30 marks')
     assert np.nanmax(np.abs(detection.marks_px - placed.borders_px(LEFT))) < 0.3
