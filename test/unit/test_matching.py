@@ -325,7 +325,9 @@ def test_16_bits_are_kept(preset: str, threshold: float, contrast: float, limit_
         preset, disparity_range=16, correlation_window_size=9, texture_threshold=threshold
     ).match
     scale = np.float32(contrast / left.std())
-    left, right = (np.rint((level * scale + 100) * 257) / 257 for level in (left, right))
+    left, right = (
+        (np.rint((level * scale + 100) * 257) / 257).astype(np.float32) for level in (left, right)
+    )
     error = match(left, right, options).disparity_px[10:-10, 30:-10] - 6.3
     assert np.sqrt(np.nanmean(error**2)) < limit_px
     assert np.isfinite(error).mean() > 0.95
