@@ -256,7 +256,8 @@ def test_exposure_does_not_matter(semi_global: bool) -> None:
 @pytest.mark.large
 @pytest.mark.parametrize('side', [0, 1])
 def test_less_contrast_of_one_picture_loses_no_texture(side: int) -> None:
-    pair = [image / 45 + 100 for image in shifted_pair(60, 100, 6.5)]  # just above the threshold
+    # just above the threshold
+    pair = [image / np.float32(45) + 100 for image in shifted_pair(60, 100, 6.5)]
     seen = []
     for share in (1.0, 0.6):
         pair[side] = pair[side] * np.float32(share)
