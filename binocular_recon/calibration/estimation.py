@@ -40,6 +40,8 @@ BOARD_MARK_LOSS = 0.35
 # Stated placement sigmas are believed unless the rods contradict them by this factor.
 PLACEMENT_LIMIT = 1.5
 _ROUNDS = 20
+# From this round with the same boards on, marks left out stay so: some would come and go for ever.
+_RESTORING_ROUNDS = 5
 # Fewer boards are not enough to judge one of them (and to calibrate, see solve.py).
 MIN_BOARDS = 3
 # median of the length of a two-dimensional standard normal vector
@@ -133,7 +135,7 @@ def estimate(problem: Problem, state: State) -> Estimate:
     given = problem.observed_px
     boards = np.arange(len(given))
     bad_boards: dict[int, str] = {}
-    settled = True
+    settled, rounds = True, 0
     for _ in range(len(boards) + _ROUNDS):
         state = minimise(problem, state)
         fit = judge(problem, given[boards], state)
@@ -143,8 +145,10 @@ def estimate(problem: Problem, state: State) -> Estimate:
             keep = np.arange(len(boards)) != worst
             boards, state = boards[keep], state.select(keep)
             problem = replace(problem, observed_px=given[boards], sigma_px=fit.robust_sigma_px)
+            rounds = 0
             continue
-        following = _improved(problem, given[boards], fit)
+        rounds += 1
+        following = _improved(problem, given[boards], fit, restore=rounds < _RESTORING_ROUNDS)
         if _settled(problem, following):
             break
         problem = following
@@ -210,9 +214,12 @@ def _placement_scale(problem: Problem, state: State, joint: FloatArray) -> Float
     return scale
 
 
-def _improved(problem: Problem, given_px: FloatArray, fit: Fit) -> Problem:
-    """Return the problem with outliers left out and the noise that was found."""
-    good = np.repeat(~fit.outliers, 2, axis=-1)
+def _improved(problem: Problem, given_px: FloatArray, fit: Fit, *, restore: bool) -> Problem:
+    """Return the problem with outliers left out and the noise that was found.
+
+    ``restore``: marks that were left out come back if they fit by now.
+    """
+    good = np.repeat(~fit.outliers & (problem.seen | restore), 2, axis=-1)
     first_guess = (np.maximum(fit.sigma_px, problem.sigma_px) > 1.5 * fit.robust_sigma_px).any()
     return replace(
         problem,

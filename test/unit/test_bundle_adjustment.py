@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.calibration import estimation
 from binocular_recon.calibration._linearisation import State, linearise, predict
 from binocular_recon.calibration.bundle_adjustment import (
     Problem,
@@ -17,6 +18,7 @@ from binocular_recon.calibration.bundle_adjustment import (
     minimise,
     normal_equations,
 )
+from binocular_recon.calibration.estimation import Fit
 from binocular_recon.calibration.planar import DEFAULT_COEFFICIENTS, calibrate_planar
 from binocular_recon.calibration.screening import observations
 from binocular_recon.calibration.solve import solve
@@ -186,6 +188,29 @@ def test_outlier_marks_are_left_out_and_do_no_harm() -> None:
     )
     sigma = clean.depth_sigma_m(15, 0.0)
     assert np.abs(errors[0] - errors[1])[1].max() < sigma
+
+
+def test_a_mark_that_comes_and_goes_is_left_out_in_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seen among 200 boards: its residual fits only while it is left out."""
+    rounds = []
+
+    real = estimation.judge
+
+    def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
+        fit = real(problem, given_px, state)
+        rounds.append(bool(problem.seen[0, 0, 0, 0]))
+        fit.lengths[0, 0, 0, 0] = 99.0 if rounds[-1] else 0.5
+        fit.errors_px[0, 0, 0, 0] = 1.0
+        return fit
+
+    monkeypatch.setattr(estimation, 'judge', judge)
+    result = solve(captures_of(seed=4), board_of(0.005), SIZE)
+    assert rounds[:4] == [True, False, True, False]
+    assert len(rounds) < 12
+    assert result.estimate.settled
+    assert result.estimate.outliers[0, 0, 0, 0]
 
 
 def test_too_optimistic_placement_is_noticed_and_corrected() -> None:
