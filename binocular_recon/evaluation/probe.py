@@ -115,7 +115,7 @@ def _measure_first_call(preset: str, size: tuple[int, int, int]) -> dict[str, An
     imported = time.perf_counter()
     bench = Bench(Size(*size), [preset])
     chain = Chain(bench.rig, bench.config(preset))
-    left, right = bench.pair.left, bench.pair.right
+    left, right = bench.recorded
     seconds = []
     for _ in range(2):
         begin = time.perf_counter()

@@ -89,8 +89,14 @@ class Bench:
 
     @cached_property
     def pair(self) -> SyntheticPair:
-        """The pictures."""
+        """The pictures, rectified."""
         return synthetic_pair(*self.size.numbers)
+
+    @cached_property
+    def recorded(self) -> tuple[Image, Image]:
+        """The pictures as the cameras of the rig would record them."""
+        pair, rig = self.pair, self.rig
+        return _distorted(pair.left, rig.left), _distorted(pair.right, rig.right)
 
     @cached_property
     def rig(self) -> StereoRig:
@@ -190,7 +196,7 @@ def _our_filter(bench: Bench, preset: str, *, warm: bool = False) -> Callable[[]
 
 def rectifying(bench: Bench) -> Contestants:
     """Both pictures of a pair, maps made beforehand."""
-    left, right = bench.pair.left, bench.pair.right
+    left, right = bench.recorded
     remap = _remap(bench.rig)
     rectifier = Rectifier(bench.rig)
     return {'cv2.remap': lambda: remap(left, right), 'Rectifier': lambda: rectifier(left, right)}
@@ -210,7 +216,7 @@ def triangulating(bench: Bench) -> Contestants:
 
 def chain(bench: Bench) -> Contestants:
     """From two colour pictures as a camera gives them to the cloud."""
-    left, right = bench.pair.left, bench.pair.right
+    left, right = bench.recorded
     contestants: Contestants = {}
     if peers.has_ximgproc():
         contestants['remap, SGBM 3WAY x 2, WLS, reprojectImageTo3D'] = _opencv_chain(bench)
@@ -225,7 +231,7 @@ def _opencv_chain(bench: Bench) -> Callable[[], object]:
     compute = SGBM_WLS.prepare(bench.size.disparity_range)
 
     def run() -> object:
-        left, right = remap(bench.pair.left, bench.pair.right)
+        left, right = remap(*bench.recorded)
         grey_left, grey_right = (
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right)
         )
@@ -233,6 +239,17 @@ def _opencv_chain(bench: Bench) -> Callable[[], object]:
         return cv2.reprojectImageTo3D(disparity.astype(np.float32) / 16, Q)
 
     return run
+
+
+def _distorted(image: Image, camera: Camera) -> Image:
+    """Return a rectified picture as its camera would record it."""
+    columns, rows = np.meshgrid(*(np.arange(length, dtype=np.float64) for length in camera.size))
+    recorded = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+    rectified = cv2.undistortPoints(recorded, camera.K, camera.D, R=camera.R, P=camera.P)
+    places = rectified.reshape(*image.shape[:2], 2).astype(np.float32)
+    return np.asarray(
+        cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    )
 
 
 def _remap(rig: StereoRig) -> Callable[[Image, Image], list[Image]]:

@@ -16,6 +16,7 @@ from binocular_recon.evaluation import direct, peers, probe, stages
 from binocular_recon.evaluation.benchmark import STAGES, Timing, growth, time_stage
 from binocular_recon.evaluation.stages import Bench, Size
 from binocular_recon.stereo.filtering import normal_equations
+from binocular_recon.stereo.pipeline import Chain
 from test import naive_wls
 
 SMALL = Size(128, 96, 16)
@@ -49,6 +50,13 @@ def test_every_stage_has_its_peers_first(bench: Bench) -> None:
     assert ('ximgproc DisparityWLSFilter' in names['exact WLS']) == peers.has_ximgproc()
     assert names['rectify'][0] == 'cv2.remap'
     assert names['cloud'][0] == 'cv2.reprojectImageTo3D'
+
+
+def test_recorded_pictures_are_those_that_the_chain_reconstructs() -> None:
+    bench = Bench(Size(320, 240, 32), ['default'])
+    chain = Chain(bench.rig, bench.config('default'))
+    error = chain(*bench.recorded).filtered.disparity_px - bench.pair.disparity_px
+    assert np.mean(np.abs(error) > 1) < 0.1
 
 
 def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
