@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from binocular_recon.evaluation.paper import (
 )
 from binocular_recon.evaluation.paper_pictures import draw_crop, draw_sizes
 from binocular_recon.evaluation.paper_tables import mean_of_three_mm, report
+from binocular_recon.evaluation.summary import to_plain
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import complete_file, make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
@@ -102,13 +101,13 @@ def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[st
         }
         for placement in placements
     }
-    content: dict[str, Any] = _without_nan(
+    content: dict[str, Any] = to_plain(
         {
             'machine': machine_facts(),
             'mean_of_three_mm': means,
             'picks': PICKS,
-            'runs': [asdict(run) for run in runs],
-            'failed': [asdict(run) for run in failed],
+            'runs': runs,
+            'failed': failed,
         }
     )
     return content
@@ -136,12 +135,3 @@ def _failures(failed: Sequence[FailedRun]) -> str:
         f'seed {run.seed}, rods {1e3 * run.placement_m:g} mm off: {run.reason}' for run in failed
     )
     return f'Not measured: {"; ".join(words)}.'
-
-
-def _without_nan(value: Any) -> Any:
-    """Return the same with None in place of NaN, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(one) for one in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
