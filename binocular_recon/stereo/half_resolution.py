@@ -14,7 +14,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.stereo._hole_kernels import count_holes, fill_holes
 from binocular_recon.stereo.completion import unexplained_holes
 
-# A picture has weak texture if a region of this share of it has no match for no other reason.
+# Texture is weak if a region of this share of the picture has no match and is not hidden.
 LEAST_REGION = 0.01
 # A hole is weak texture if half resolution sees this share of it; what is hidden from one picture
 # is hidden at half resolution too.
