@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.io.bag_writer import BagWriter, write_pair
+from binocular_recon.io.bags.writer import BagWriter, write_pair
 from binocular_recon.io.disparity_png import write_disparity_png
 from binocular_recon.io.image_files import read_image_file, write_image_file
 from binocular_recon.io.pfm import read_pfm

@@ -24,7 +24,7 @@ from binocular_recon.config import (
     OptionValue,
     check_option,
 )
-from binocular_recon.nodes.options import (
+from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
     InputOptions,

@@ -15,9 +15,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.io.bag_writer import new_message
-from binocular_recon.io.bags import ros2_types
-from binocular_recon.io.messages import fill_camera_info, fill_image
+from binocular_recon.io.bags.reader import ros2_types
+from binocular_recon.io.bags.writer import new_message
+from binocular_recon.io.messages.images import fill_camera_info, fill_image
 
 Image = npt.NDArray[np.uint8]
 # topic, message, time of recording

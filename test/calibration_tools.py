@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.rods import Capture, RodBoard
 from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.stereo_calibration import StereoCalibration
+from binocular_recon.calibration.target.rods import Capture, RodBoard
 from binocular_recon.camera import FloatArray
-from binocular_recon.evaluation.calibration_check import (
+from binocular_recon.evaluation.calibration.self_check import (
     simulated_boards,
     simulated_captures,
     true_calibration,

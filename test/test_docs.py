@@ -11,7 +11,7 @@ import pytest
 
 from binocular_recon.camera import DISTORTION_COEFFICIENTS
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
-from binocular_recon.io.messages import ENCODINGS
+from binocular_recon.io.messages.images import ENCODINGS
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 from test.conftest import REPOSITORY
 
@@ -38,7 +38,7 @@ README = (REPOSITORY / 'README.md').read_text()
 
 @pytest.mark.ros
 def test_readme_states_the_defaults_of_real_parameters() -> None:
-    from binocular_recon.nodes import options
+    from binocular_recon.nodes.runtime import options
 
     groups = [value for value in vars(options).values() if dataclasses.is_dataclass(value)]
     groups += [type(group) for group in vars(ChainConfig()).values()]

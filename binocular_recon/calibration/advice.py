@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from binocular_recon.calibration._linearisation import State, marks_in_left, predict
-from binocular_recon.calibration.bundle_adjustment import normal_equations
-from binocular_recon.calibration.estimation import Estimate
-from binocular_recon.calibration.stereo_calibration import rotation
-from binocular_recon.calibration.uncertainty import depth_derivatives, field_of_view
+from binocular_recon.calibration.adjustment.bundle_adjustment import normal_equations
+from binocular_recon.calibration.adjustment.estimation import Estimate
+from binocular_recon.calibration.adjustment.linearisation import State, marks_in_left, predict
+from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives, field_of_view
+from binocular_recon.calibration.model import rotation
 from binocular_recon.camera import FloatArray
 
 # Boards tried out: distances, columns and rows of their middle in the picture, turns.

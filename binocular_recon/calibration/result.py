@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from binocular_recon.calibration._linearisation import marks_in_left, predict
-from binocular_recon.calibration.advice import Advice
-from binocular_recon.calibration.distortion import Evidence
-from binocular_recon.calibration.estimation import Estimate
-from binocular_recon.calibration.screening import Rejected
-from binocular_recon.calibration.stereo_calibration import PARAMETERS, StereoCalibration
-from binocular_recon.calibration.target import DEVIATIONS
-from binocular_recon.calibration.uncertainty import (
+from binocular_recon.calibration.adjustment.distortion import Evidence
+from binocular_recon.calibration.adjustment.estimation import Estimate
+from binocular_recon.calibration.adjustment.linearisation import marks_in_left, predict
+from binocular_recon.calibration.adjustment.uncertainty import (
     baseline_sigma_m,
     depth_sigma_m,
     field_of_view,
     matching_sigma_m,
 )
+from binocular_recon.calibration.advice import Advice
+from binocular_recon.calibration.model import PARAMETERS, StereoCalibration
+from binocular_recon.calibration.screening import Rejected
+from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.camera import FloatArray, StereoRig
 
 # Distances that calibration.json states the depth sigma for, m.

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from binocular_recon.calibration._board_plane import fit_camera, project
-from binocular_recon.calibration.planar import MIN_MARKS, first_guess
-from binocular_recon.calibration.rods import Capture, row_of
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.adjustment.planar import MIN_MARKS, first_guess
+from binocular_recon.calibration.target.board_plane import fit_camera, project
+from binocular_recon.calibration.target.rods import Capture, row_of
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 

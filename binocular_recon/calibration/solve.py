@@ -8,23 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from binocular_recon.calibration._linearisation import State, predict
-from binocular_recon.calibration.advice import advise
-from binocular_recon.calibration.bundle_adjustment import Problem, free_parameters
-from binocular_recon.calibration.distortion import (
+from binocular_recon.calibration.adjustment.bundle_adjustment import Problem, free_parameters
+from binocular_recon.calibration.adjustment.distortion import (
     DEFAULT_MODEL,
     MODELS,
     Evidence,
     choose_model,
     compare_models,
 )
-from binocular_recon.calibration.estimation import Estimate, estimate
-from binocular_recon.calibration.metric_rectification import check_order, correction_of, metric_rig
-from binocular_recon.calibration.planar import calibrate_planar
-from binocular_recon.calibration.polar import free_pair
-from binocular_recon.calibration.recalibration import corrected_marks, recalibrate
+from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
+from binocular_recon.calibration.adjustment.linearisation import State, predict
+from binocular_recon.calibration.adjustment.planar import calibrate_planar
+from binocular_recon.calibration.advice import advise
+from binocular_recon.calibration.model import StereoCalibration
+from binocular_recon.calibration.rectification.metric_rectification import (
+    check_order,
+    correction_of,
+    metric_rig,
+)
+from binocular_recon.calibration.rectification.polar import free_pair
+from binocular_recon.calibration.rectification.recalibration import corrected_marks, recalibrate
 from binocular_recon.calibration.result import CalibrationResult, Stage
-from binocular_recon.calibration.rods import Capture, RodBoard
 from binocular_recon.calibration.screening import (
     Rejected,
     check_count,
@@ -32,8 +36,8 @@ from binocular_recon.calibration.screening import (
     observations,
     usable_boards,
 )
-from binocular_recon.calibration.stereo_calibration import StereoCalibration
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError

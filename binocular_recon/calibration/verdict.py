@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration._homography import Picture
-from binocular_recon.calibration._linearisation import linearise, marks_in_left
-from binocular_recon.calibration.estimation import Estimate
+from binocular_recon.calibration.adjustment.estimation import Estimate
+from binocular_recon.calibration.adjustment.linearisation import linearise, marks_in_left
+from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
+from binocular_recon.calibration.rectification.homography import Picture
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
-from binocular_recon.calibration.target import DEVIATIONS
-from binocular_recon.calibration.uncertainty import depth_sigma_m, field_of_view
+from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.errors import CalibrationError
 
 # Marks of a good detector scatter by 0.1 to 0.3 px.

@@ -7,11 +7,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import positive, preset_names
-from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.config import PRESETS
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.benchmark import (
+from binocular_recon.evaluation.accuracy.summary import figure, markdown_table, to_plain
+from binocular_recon.evaluation.speed.benchmark import (
     SIZES,
     STAGES,
     Results,
@@ -19,8 +20,7 @@ from binocular_recon.evaluation.benchmark import (
     growth,
     step_count,
 )
-from binocular_recon.evaluation.stages import Size
-from binocular_recon.evaluation.summary import figure, markdown_table, to_plain
+from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import make_folder, write_json
 

@@ -10,20 +10,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
-from binocular_recon.calibration.rods import Capture, RodBoard, load_rods
 from binocular_recon.calibration.screening import Rejected
+from binocular_recon.calibration.session.calibration_files import save_calibration
+from binocular_recon.calibration.session.captures import BoardReading, find_boards, read_captures
+from binocular_recon.calibration.session.points_csv import read_points
 from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.target.rods import Capture, RodBoard, load_rods
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.cli.options import positive
-from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.errors import ConfigError
-from binocular_recon.evaluation.calibration_check import self_check
+from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.evaluation.timing import peak_bytes
-from binocular_recon.io.calibration_files import save_calibration
-from binocular_recon.io.captures import BoardReading, find_boards, read_captures
 from binocular_recon.io.files import make_folder, write_json
-from binocular_recon.io.points_csv import read_points
 
 _Result = TypeVar('_Result')
 

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
         If the bag is not there or the results cannot be written.
 
     """
-    from binocular_recon.cli.reconstruction import Input, reconstruct_bag
+    from binocular_recon.apps.reconstruct_bag import Input, reconstruct_bag
 
     bags = _bags()
     source = Input(bag=bags / 'motorcycle', pictures=True)
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> None:
 
 def _accuracy(output: Path, truth: Path) -> str:
     """Compare with the ground truth, add the figures to the summary and return a sentence."""
-    from binocular_recon.evaluation.metrics import BAD_THRESHOLDS_PX, accuracy
+    from binocular_recon.evaluation.accuracy.metrics import BAD_THRESHOLDS_PX, accuracy
     from binocular_recon.io.disparity_png import read_disparity_png
     from binocular_recon.io.files import write_json
     from binocular_recon.io.pfm import read_pfm

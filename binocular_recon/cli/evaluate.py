@@ -7,18 +7,19 @@ import argparse
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import add_option_flags, given_options, positive, preset_names
-from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
-from binocular_recon.evaluation import peers, report, summary
-from binocular_recon.evaluation.evaluate import (
-    Failures,
-    SceneScores,
-    evaluate_scene,
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.accuracy import report, summary
+from binocular_recon.evaluation.accuracy.methods import (
+    Method,
+    match_method,
+    opencv_method,
+    preset_method,
 )
-from binocular_recon.evaluation.methods import Method, match_method, opencv_method, preset_method
-from binocular_recon.evaluation.robustness import (
+from binocular_recon.evaluation.accuracy.robustness import (
     EXPOSURE_GAIN,
     EXPOSURE_OFFSET,
     CropChange,
@@ -26,7 +27,12 @@ from binocular_recon.evaluation.robustness import (
     crop_changes,
     exposure_change,
 )
-from binocular_recon.evaluation.scenes import find_scenes, read_scene
+from binocular_recon.evaluation.accuracy.scenes import find_scenes, read_scene
+from binocular_recon.evaluation.accuracy.scoring import (
+    Failures,
+    SceneScores,
+    evaluate_scene,
+)
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import complete_file, make_folder, write_json
 

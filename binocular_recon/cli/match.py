@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> None:
 
     import numpy as np
 
-    from binocular_recon.io.colormap import heat_map
+    from binocular_recon.drawing.colormap import heat_map
     from binocular_recon.io.files import make_folder
     from binocular_recon.io.image_files import read_image_file, write_image_file
     from binocular_recon.io.pfm import write_pfm

@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import non_negative, positive
-from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation.paper import (
+from binocular_recon.evaluation.accuracy.summary import to_plain
+from binocular_recon.evaluation.paper.drawing import draw_crop, draw_sizes
+from binocular_recon.evaluation.paper.sites import (
     BOARDS,
     MARK_NOISE_PX,
     PICKS,
@@ -21,9 +23,7 @@ from binocular_recon.evaluation.paper import (
     Survey,
     run_paper,
 )
-from binocular_recon.evaluation.paper_pictures import draw_crop, draw_sizes
-from binocular_recon.evaluation.paper_tables import mean_of_three_mm, report
-from binocular_recon.evaluation.summary import to_plain
+from binocular_recon.evaluation.paper.tables import mean_of_three_mm, report
 from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.io.files import complete_file, make_folder, write_json
 from binocular_recon.io.image_files import write_image_file

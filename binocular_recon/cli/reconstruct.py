@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> None:
         something could not.
 
     """
-    from binocular_recon.cli.reconstruction import Input, reconstruct_bag
+    from binocular_recon.apps.reconstruct_bag import Input, reconstruct_bag
 
     source = Input(
         bag=args.bag,

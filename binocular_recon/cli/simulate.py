@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods
+from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
 from binocular_recon.cli.options import non_negative, positive
 from binocular_recon.errors import FileError
-from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.evaluation.calibration.detection import score_capture, summarise_scores
 from binocular_recon.images import ByteImage
-from binocular_recon.io.bag_writer import BagWriter, write_pair
+from binocular_recon.io.bags.writer import BagWriter, write_pair
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm

@@ -19,12 +19,15 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.rods import Capture, load_rods
 from binocular_recon.calibration.screening import complaint
+from binocular_recon.calibration.session.calibration_files import finish_saving, save_calibration
+from binocular_recon.calibration.session.capture_store import CaptureStore
 from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.target.rods import Capture, load_rods
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import Camera
 from binocular_recon.config import Options, option
+from binocular_recon.drawing.detections import draw_detections
 from binocular_recon.errors import (
     BinocularReconError,
     CalibrationError,
@@ -32,11 +35,8 @@ from binocular_recon.errors import (
     ImageError,
 )
 from binocular_recon.images import to_bgr8
-from binocular_recon.io.calibration_files import finish_saving, save_calibration
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.capture_store import CaptureStore
-from binocular_recon.io.detection_image import draw_detections
-from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
+from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
 from binocular_recon.nodes.calibration_steps import (
     Alone,
     check_still,
@@ -47,11 +47,11 @@ from binocular_recon.nodes.calibration_steps import (
     size_words,
     summary,
 )
-from binocular_recon.nodes.endpoints import Input, Output
 from binocular_recon.nodes.newest_pair import NewestPair, Pair
-from binocular_recon.nodes.options import InputOptions
-from binocular_recon.nodes.running import run_node
-from binocular_recon.nodes.stereo_node import StereoNode
+from binocular_recon.nodes.runtime.base_node import StereoNode
+from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.options import InputOptions
+from binocular_recon.nodes.runtime.process import run_node
 
 # How long a capture waits for a second pair, to see whether everything stands still.
 _STILL_WITHIN_S = 1.0

@@ -8,10 +8,10 @@ import threading
 
 import numpy as np
 
-from binocular_recon.calibration.detection import Detection, detect_rods
+from binocular_recon.calibration.detection.detect import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.rods import Capture, RodBoard
 from binocular_recon.calibration.screening import displacement_px
+from binocular_recon.calibration.target.rods import Capture, RodBoard
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError
 from binocular_recon.nodes.newest_pair import Pair

@@ -9,13 +9,13 @@ from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.io.disparity_messages import fill_disparity
-from binocular_recon.io.messages import fill_image, read_image
-from binocular_recon.nodes.endpoints import Input, Output
-from binocular_recon.nodes.options import PresetOptions
-from binocular_recon.nodes.running import run_node
-from binocular_recon.nodes.stereo_node import StereoNode
-from binocular_recon.stereo.matching import disparity_step_px, match
+from binocular_recon.io.messages.disparities import fill_disparity
+from binocular_recon.io.messages.images import fill_image, read_image
+from binocular_recon.nodes.runtime.base_node import StereoNode
+from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.options import PresetOptions
+from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.stereo.matching.matcher import disparity_step_px, match
 from binocular_recon.stereo.rectification import check_size
 
 # Share of white pixels above which the exposure is worth a word.

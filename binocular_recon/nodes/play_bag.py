@@ -22,11 +22,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
-from binocular_recon.cli.progress import ProgressBar
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.errors import BagError
-from binocular_recon.io.bags import Bag, Topic
-from binocular_recon.nodes.health import Health
-from binocular_recon.nodes.running import init_ros
+from binocular_recon.io.bags.reader import Bag, Topic
+from binocular_recon.nodes.runtime.health import Health
+from binocular_recon.nodes.runtime.process import init_ros
 
 # How long the start waits for subscribers, the end for the last messages to be acknowledged.
 _START_WITHIN_S, _END_WITHIN_S = 2.0, 5.0

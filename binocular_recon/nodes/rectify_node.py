@@ -10,11 +10,11 @@ from std_msgs.msg import Header
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
-from binocular_recon.nodes.endpoints import Input, Output
-from binocular_recon.nodes.options import CalibrationOptions, InputOptions, RectifyOptions
-from binocular_recon.nodes.running import run_node
-from binocular_recon.nodes.stereo_node import StereoNode
+from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
+from binocular_recon.nodes.runtime.base_node import StereoNode
+from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.options import CalibrationOptions, InputOptions, RectifyOptions
+from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.rectification import Rectifier
 
 _SIDES = ('left', 'right')

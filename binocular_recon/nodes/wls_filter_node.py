@@ -11,18 +11,22 @@ from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
+from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, to_bgr8, to_grey
 from binocular_recon.images import Image as Picture
-from binocular_recon.io.cloud_messages import fill_cloud
-from binocular_recon.io.colormap import heat_map
-from binocular_recon.io.disparity_messages import DisparityMap, fill_disparity, read_disparity
-from binocular_recon.io.messages import fill_camera_info, fill_image, read_image
-from binocular_recon.nodes.endpoints import Input, Output
-from binocular_recon.nodes.options import CloudMessageOptions, LateInputOptions, PresetOptions
-from binocular_recon.nodes.running import run_node
-from binocular_recon.nodes.stereo_node import StereoNode
-from binocular_recon.stereo.filtering import DisparityFilter, Filtered, filter_disparity
+from binocular_recon.io.messages.clouds import fill_cloud
+from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
+from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
+from binocular_recon.nodes.runtime.base_node import StereoNode
+from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.options import (
+    CloudMessageOptions,
+    LateInputOptions,
+    PresetOptions,
+)
+from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 

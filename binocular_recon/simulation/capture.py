@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import ByteImage
 from binocular_recon.simulation.clutter import KINDS, fractal_noise, paint

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.rods import RodBoard, visible_borders
+from binocular_recon.calibration.target.rods import RodBoard, visible_borders
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.simulation.rig import RawRig, View

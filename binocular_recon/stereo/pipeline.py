@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, to_grey
-from binocular_recon.stereo.filtering import DisparityFilter, Filtered
-from binocular_recon.stereo.matching import Match, match
+from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
+from binocular_recon.stereo.matching.matcher import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 

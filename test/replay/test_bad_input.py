@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocular_recon.cli import results
+from binocular_recon.apps import output_folder as results
 from binocular_recon.cli.main import main
 from binocular_recon.io.ply import write_ply
 from test.bag_tools import (

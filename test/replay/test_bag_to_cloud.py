@@ -18,10 +18,10 @@ import pytest
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
-from binocular_recon.evaluation.metrics import visible_from_truth
+from binocular_recon.evaluation.accuracy.metrics import visible_from_truth
 from binocular_recon.images import FloatImage
-from binocular_recon.io.bag_writer import BagWriter, write_pair
-from binocular_recon.io.bags import Bag
+from binocular_recon.io.bags.reader import Bag
+from binocular_recon.io.bags.writer import BagWriter, write_pair
 from binocular_recon.io.calibration_yaml import write_camera
 from binocular_recon.io.disparity_png import read_disparity_png
 from binocular_recon.io.image_files import read_image_file

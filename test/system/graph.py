@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from binocular_recon.io.messages import stamp_ns
+from binocular_recon.io.messages.images import stamp_ns
 
 with warnings.catch_warnings():  # the parser that it imports uses what Python 3.11 deprecates
     warnings.simplefilter('ignore', DeprecationWarning)

@@ -15,8 +15,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from binocular_recon.calibration.rods import save_rods
-from binocular_recon.io.calibration_files import FILES
+from binocular_recon.calibration.session.calibration_files import FILES
+from binocular_recon.calibration.target.rods import save_rods
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.simulation.capture import CaptureOptions, SimulatedCapture, simulate_capture
 from binocular_recon.simulation.rig import survey_rig

@@ -15,14 +15,14 @@ import pytest
 from sensor_msgs.msg import Image, PointCloud2
 
 from binocular_recon.config import ChainConfig
+from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.images import to_bgr8
-from binocular_recon.io.bags import Bag
-from binocular_recon.io.colormap import heat_map
-from binocular_recon.io.disparity_messages import read_disparity
-from binocular_recon.io.messages import camera_from_message, read_image, stamp_ns
-from binocular_recon.io.stereo_bag import StereoBag
-from binocular_recon.io.stereo_topics import find_stereo_topics
-from binocular_recon.stereo.matching import disparity_step_px
+from binocular_recon.io.bags.reader import Bag
+from binocular_recon.io.bags.stereo_bag import StereoBag
+from binocular_recon.io.bags.stereo_topics import find_stereo_topics
+from binocular_recon.io.messages.disparities import read_disparity
+from binocular_recon.io.messages.images import camera_from_message, read_image, stamp_ns
+from binocular_recon.stereo.matching.matcher import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from test import bag_tools
 from test.bag_tools import PERIOD_NS, START_NS, Record

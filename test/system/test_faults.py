@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from stereo_msgs.msg import DisparityImage
 
-from binocular_recon.io.disparity_messages import read_disparity
-from binocular_recon.io.messages import stamp_ns
+from binocular_recon.io.messages.disparities import read_disparity
+from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.stereo.rectification import Rectifier
 from test.system.conftest import StartNode
 from test.system.graph import Graph, Inbox, wait_until

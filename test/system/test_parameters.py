@@ -18,9 +18,9 @@ from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import PRESETS, MatchConfig
 from binocular_recon.errors import ConfigError
-from binocular_recon.nodes.endpoints import Output, offer
 from binocular_recon.nodes.match_node import MatchNode
 from binocular_recon.nodes.rectify_node import RectifyNode
+from binocular_recon.nodes.runtime.endpoints import Output, offer
 from binocular_recon.nodes.wls_filter_node import WlsFilterNode
 from binocular_recon.stereo.rectification import Rectifier
 from test.system.conftest import StartNode

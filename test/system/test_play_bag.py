@@ -19,8 +19,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
-from binocular_recon.io.bag_writer import BagWriter
-from binocular_recon.io.bags import Bag, TopicQos
+from binocular_recon.io.bags.reader import Bag, TopicQos
+from binocular_recon.io.bags.writer import BagWriter
 from binocular_recon.nodes.play_bag import Player
 from test.bag_tools import PERIOD_NS, START_NS, info_message, rig, stereo_records, write_bag
 from test.system.graph import Graph, executable, wait_until

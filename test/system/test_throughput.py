@@ -10,7 +10,7 @@ import pytest
 from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from binocular_recon.io.messages import stamp_ns
+from binocular_recon.io.messages.images import stamp_ns
 from test.system.chain import prime, start_chain
 from test.system.conftest import StartNode
 from test.system.graph import Graph, Inbox, wait_until

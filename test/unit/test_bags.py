@@ -14,8 +14,8 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from binocular_recon.errors import BagError, FileError
-from binocular_recon.io.bag_writer import BagWriter, new_message
-from binocular_recon.io.bags import Bag, TopicQos, decode
+from binocular_recon.io.bags.reader import Bag, TopicQos, decode
+from binocular_recon.io.bags.writer import BagWriter, new_message
 from test.bag_tools import (
     FORMATS,
     START_NS,

@@ -12,10 +12,12 @@ import pytest
 
 from binocular_recon.cli.main import main
 from binocular_recon.config import FilterConfig
-from binocular_recon.evaluation import direct, peers, probe, stages
-from binocular_recon.evaluation.benchmark import STAGES, Timing, growth, time_stage
-from binocular_recon.evaluation.stages import Bench, Size
-from binocular_recon.stereo.filtering import normal_equations
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.speed import direct_solver as direct
+from binocular_recon.evaluation.speed import probe, stages
+from binocular_recon.evaluation.speed.benchmark import STAGES, Timing, growth, time_stage
+from binocular_recon.evaluation.speed.stages import Bench, Size
+from binocular_recon.stereo.filtering.wls_filter import normal_equations
 from binocular_recon.stereo.pipeline import Chain
 from test import naive_wls
 
@@ -62,7 +64,8 @@ def test_recorded_pictures_are_those_that_the_chain_reconstructs() -> None:
 def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     medians = {'peer': 0.2, 'ours': 0.1}
     monkeypatch.setattr(
-        'binocular_recon.evaluation.benchmark.interleaved', lambda *_args, **_options: medians
+        'binocular_recon.evaluation.speed.benchmark.interleaved',
+        lambda *_args, **_options: medians,
     )
     assert time_stage('match', bench, {}, 1) == [
         Timing('match', '128x96x16', 'peer', 0.2, 1.0),
@@ -75,7 +78,8 @@ def test_without_the_peer_nothing_is_relative(
 ) -> None:
     medians = {'default': 0.2, 'default, warm': 0.1}
     monkeypatch.setattr(
-        'binocular_recon.evaluation.benchmark.interleaved', lambda *_args, **_options: medians
+        'binocular_recon.evaluation.speed.benchmark.interleaved',
+        lambda *_args, **_options: medians,
     )
     timings = time_stage('exact WLS', bench, {}, 1)
     assert all(math.isnan(timing.relative) for timing in timings)

@@ -10,21 +10,21 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.calibration import estimation
-from binocular_recon.calibration._linearisation import State, linearise, predict
-from binocular_recon.calibration.bundle_adjustment import (
+from binocular_recon.calibration.adjustment import estimation
+from binocular_recon.calibration.adjustment.bundle_adjustment import (
     Problem,
     free_parameters,
     minimise,
     normal_equations,
 )
-from binocular_recon.calibration.estimation import Fit
-from binocular_recon.calibration.planar import DEFAULT_COEFFICIENTS, calibrate_planar
+from binocular_recon.calibration.adjustment.estimation import Fit
+from binocular_recon.calibration.adjustment.linearisation import State, linearise, predict
+from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS, calibrate_planar
 from binocular_recon.calibration.screening import observations
 from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
-from binocular_recon.evaluation.calibration_check import (
+from binocular_recon.evaluation.calibration.self_check import (
     bound_m,
     check_accuracy,
     depth_errors_m,

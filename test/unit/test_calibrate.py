@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.rods import save_rods
+from binocular_recon.calibration.session.captures import find_boards, read_board, read_captures
+from binocular_recon.calibration.target.rods import save_rods
 from binocular_recon.cli.main import main
-from binocular_recon.evaluation import calibration_check
-from binocular_recon.evaluation.calibration_check import AccuracyRow, RowsRow
+from binocular_recon.evaluation.calibration import self_check as calibration_check
+from binocular_recon.evaluation.calibration.self_check import AccuracyRow, RowsRow
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.captures import find_boards, read_board, read_captures
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board

@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from binocular_recon.calibration.session import calibration_files
+from binocular_recon.calibration.session.calibration_files import (
+    FILES,
+    finish_saving,
+    save_calibration,
+)
 from binocular_recon.errors import FileError
-from binocular_recon.io import calibration_files
-from binocular_recon.io.calibration_files import FILES, finish_saving, save_calibration
 from binocular_recon.io.calibration_yaml import read_camera, read_rig
 from test.calibration_tools import solved
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.rods import Capture
+from binocular_recon.calibration.target.rods import Capture
 from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration_steps import check_still, detect_pair, size_words
 from binocular_recon.nodes.newest_pair import Pair

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.rods import Capture, RodBoard
+from binocular_recon.calibration.session import capture_store, captures
+from binocular_recon.calibration.session.capture_store import CaptureStore
+from binocular_recon.calibration.session.captures import BoardFiles, BoardReading
+from binocular_recon.calibration.target.rods import Capture, RodBoard
 from binocular_recon.errors import CalibrationError, FileError
-from binocular_recon.io import capture_store, captures
-from binocular_recon.io.capture_store import CaptureStore
-from binocular_recon.io.captures import BoardFiles, BoardReading
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.rods import paper_board
 

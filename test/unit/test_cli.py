@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from binocular_recon import __version__
+from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli import main as cli
 from binocular_recon.cli.main import main
 from binocular_recon.cli.options import add_chain_options, chain_config
-from binocular_recon.cli.progress import ProgressBar
 from binocular_recon.config import PRESETS, ChainConfig, FilterConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.io.image_files import write_image_file

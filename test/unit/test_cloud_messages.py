@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from binocular_recon.io.cloud_messages import fill_cloud
+from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.stereo.triangulation import Cloud
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.io.cloud_picture import View, draw_cloud
+from binocular_recon.drawing.clouds import View, draw_cloud
 
 WIDTH, HEIGHT, FOCAL_PX = 120, 80, 100.0
 RED, GREEN = (0, 0, 255), (0, 255, 0)

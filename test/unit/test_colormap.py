@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from binocular_recon.io.colormap import heat_map
+from binocular_recon.drawing.colormap import heat_map
 
 
 def test_none_is_black_and_nothing_else_is() -> None:

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from binocular_recon._simd import LANES
-from binocular_recon.stereo._refinement_kernels import (
-    MEDIAN_BORDER,
-    MEDIAN_SPACING,
-    weighted_median_strip,
-)
-from binocular_recon.stereo.completion import (
+from binocular_recon.stereo.holes.completion import (
     COMPLETED_CONFIDENCE,
     complete,
     fill_from_background,
     unexplained_holes,
 )
-from binocular_recon.stereo.refinement import SAME_SURFACE_PX, _inside, smooth
+from binocular_recon.stereo.matching._refinement_kernels import (
+    MEDIAN_BORDER,
+    MEDIAN_SPACING,
+    weighted_median_strip,
+)
+from binocular_recon.stereo.matching.refinement import SAME_SURFACE_PX, _inside, smooth
 
 pytestmark = pytest.mark.kernel
 NAN = np.nan

@@ -10,10 +10,10 @@ import pytest
 
 from binocular_recon import _jit
 from binocular_recon.config import ChainConfig, MatchConfig
-from binocular_recon.evaluation.synthetic import synthetic_pair
+from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.stereo.consensus import AGREEMENT_PX, agree, carry_over, members
-from binocular_recon.stereo.matching import match
+from binocular_recon.stereo.matching.consensus import AGREEMENT_PX, agree, carry_over, members
+from binocular_recon.stereo.matching.matcher import match
 from binocular_recon.stereo.pipeline import estimate_disparity
 
 SLANTED = ChainConfig.preset('accurate', disparity_range=32)

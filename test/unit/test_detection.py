@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.calibration._board_layout import Layout
-from binocular_recon.calibration._board_plane import slant
-from binocular_recon.calibration.detection import _settle, detect_rods
-from binocular_recon.calibration.rods import RodBoard
+from binocular_recon.calibration.detection._board_layout import Layout
+from binocular_recon.calibration.detection.detect import _settle, detect_rods
+from binocular_recon.calibration.target.board_plane import slant
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import ImageError
-from binocular_recon.evaluation.detection import score_capture, summarise_scores
+from binocular_recon.evaluation.calibration.detection import score_capture, summarise_scores
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, mixed_options, simulate_capture
 from binocular_recon.simulation.render import RodPaint, Sensor, draw_rods, expose

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.detection import Detection
-from binocular_recon.io.detection_image import draw_detections
+from binocular_recon.calibration.detection.detect import Detection
+from binocular_recon.drawing.detections import draw_detections
 
 
 def test_marks_are_drawn_where_they_were_found() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
-from binocular_recon.io.disparity_messages import fill_disparity, read_disparity
+from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
 from test import stereo_image_proc
 
 FOCAL_PX, BASELINE_M = 994.0, 0.193

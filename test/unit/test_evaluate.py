@@ -15,18 +15,24 @@ import yaml
 
 from binocular_recon.cli.main import main
 from binocular_recon.errors import FileError, ImageError
-from binocular_recon.evaluation import peers, summary
-from binocular_recon.evaluation.evaluate import Failures, evaluate_scene
-from binocular_recon.evaluation.methods import Estimate, Method, opencv_method, preset_method
-from binocular_recon.evaluation.report import (
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.accuracy import summary
+from binocular_recon.evaluation.accuracy.methods import (
+    Estimate,
+    Method,
+    opencv_method,
+    preset_method,
+)
+from binocular_recon.evaluation.accuracy.report import (
     ERROR_COLOURS,
     UNFILLED_COLOUR,
     UNKNOWN_COLOUR,
     error_map,
 )
-from binocular_recon.evaluation.robustness import crop_changes, darkened, exposure_change
-from binocular_recon.evaluation.scenes import Scene, find_scenes, read_scene
-from binocular_recon.evaluation.synthetic import SyntheticPair, synthetic_pair
+from binocular_recon.evaluation.accuracy.robustness import crop_changes, darkened, exposure_change
+from binocular_recon.evaluation.accuracy.scenes import Scene, find_scenes, read_scene
+from binocular_recon.evaluation.accuracy.scoring import Failures, evaluate_scene
+from binocular_recon.evaluation.speed.synthetic import SyntheticPair, synthetic_pair
 from binocular_recon.evaluation.timing import interleaved
 from binocular_recon.images import Image
 from binocular_recon.io.pfm import write_pfm
@@ -339,7 +345,7 @@ def test_crop_changes_by_depth(scenes: Path) -> None:
 
 
 def test_matching_does_not_depend_on_the_cut(scenes: Path) -> None:
-    from binocular_recon.evaluation.methods import match_method
+    from binocular_recon.evaluation.accuracy.methods import match_method
 
     scene: Scene = read_scene(scenes / 'park')
     changes = crop_changes(scene, match_method('paper'))

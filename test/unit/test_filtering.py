@@ -14,15 +14,15 @@ import pytest
 from binocular_recon.config import ChainConfig, FilterConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo.completion import complete
-from binocular_recon.stereo.filtering import (
+from binocular_recon.stereo.filtering.wls_filter import (
     LEAST_SIGMA_PX,
     LIMIT_MARGIN_PX,
     DisparityFilter,
     Filtered,
     filter_disparity,
 )
-from binocular_recon.stereo.matching import confidence_from_sigma
+from binocular_recon.stereo.holes.completion import complete
+from binocular_recon.stereo.matching.matcher import confidence_from_sigma
 from test import naive_wls
 
 pytestmark = pytest.mark.kernel

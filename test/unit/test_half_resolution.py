@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from binocular_recon.config import MatchConfig
-from binocular_recon.stereo.half_resolution import (
+from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
     half_config,
     has_weak_texture,
 )
-from binocular_recon.stereo.matching import match
+from binocular_recon.stereo.matching.matcher import match
 
 pytestmark = pytest.mark.kernel
 

@@ -35,7 +35,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def health(log: Log, clock: Clock) -> Any:
-    from binocular_recon.nodes.health import Health
+    from binocular_recon.nodes.runtime.health import Health
 
     return Health(log, clock)
 

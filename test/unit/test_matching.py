@@ -13,8 +13,8 @@ from binocular_recon import _jit
 from binocular_recon.config import ChainConfig, MatchConfig, OptionValue
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo import matching
-from binocular_recon.stereo.matching import (
+from binocular_recon.stereo.matching import matcher as matching
+from binocular_recon.stereo.matching.matcher import (
     confidence_from_sigma,
     match,
     ncc_scores,

@@ -13,7 +13,7 @@ import pytest
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.images import to_grey
-from binocular_recon.io.messages import (
+from binocular_recon.io.messages.images import (
     camera_from_message,
     fill_camera_info,
     fill_image,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from binocular_recon.evaluation.metrics import (
+from binocular_recon.evaluation.accuracy.metrics import (
     accuracy,
     depth_errors,
     depth_from_disparity,

@@ -16,9 +16,9 @@ import pytest
 from binocular_recon.cli import paper as command
 from binocular_recon.cli.main import main
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation import paper
-from binocular_recon.evaluation.paper import FailedRun, PaperRun, detected_captures
-from binocular_recon.evaluation.paper_tables import report, table_1
+from binocular_recon.evaluation.paper import sites as paper
+from binocular_recon.evaluation.paper.sites import FailedRun, PaperRun, detected_captures
+from binocular_recon.evaluation.paper.tables import report, table_1
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig

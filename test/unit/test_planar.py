@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.calibration._linearisation import predict
-from binocular_recon.calibration.planar import calibrate_planar, first_guess
+from binocular_recon.calibration.adjustment.linearisation import predict
+from binocular_recon.calibration.adjustment.planar import calibrate_planar, first_guess
+from binocular_recon.calibration.model import check_finite
 from binocular_recon.calibration.screening import observations
-from binocular_recon.calibration.stereo_calibration import check_finite
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.session.points_csv import read_points
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation.calibration_check import depth_errors_m
-from binocular_recon.evaluation.opencv_calibration import calibrate_in_two_steps
-from binocular_recon.io.points_csv import read_points
+from binocular_recon.evaluation.calibration.opencv_calibration import calibrate_in_two_steps
+from binocular_recon.evaluation.calibration.self_check import depth_errors_m
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, truth
 
 

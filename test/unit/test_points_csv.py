@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from binocular_recon.calibration.session.points_csv import read_points
 from binocular_recon.errors import CalibrationError, FileError
-from binocular_recon.io.points_csv import read_points
 from test.calibration_tools import CHESSBOARD
 
 HEAD = 'name,side,id,X_m,Y_m,u_px,v_px\n'

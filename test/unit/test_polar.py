@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from scipy.linalg import rq
 
-from binocular_recon.calibration._homography import Correction, Picture, apply
-from binocular_recon.calibration.metric_rectification import (
+from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.rectification.homography import Correction, Picture, apply
+from binocular_recon.calibration.rectification.metric_rectification import (
     check_order,
     correction_of,
     metric_rig,
 )
-from binocular_recon.calibration.polar import (
+from binocular_recon.calibration.rectification.polar import (
     F_STAR,
     epipoles,
     free_pair,
     fundamental_matrix,
     row_aligning_pair,
 )
-from binocular_recon.calibration.stereo_calibration import StereoCalibration, rotation
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.stereo.rectification import Rectifier

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from binocular_recon.calibration._border_fit import fit_border
-from binocular_recon.calibration._guided_search import OUTSIDE, Averaged, search_line
-from binocular_recon.calibration._layout_kernels import predict_rod
-from binocular_recon.calibration._rod_sides import fit_rods
-from binocular_recon.calibration._rod_start_kernels import centre_rod
+from binocular_recon.calibration.detection._border_fit import fit_border
+from binocular_recon.calibration.detection._guided_search import OUTSIDE, Averaged, search_line
+from binocular_recon.calibration.detection._layout_kernels import predict_rod
+from binocular_recon.calibration.detection._rod_sides import fit_rods
+from binocular_recon.calibration.detection._rod_start_kernels import centre_rod
 from binocular_recon.camera import FloatArray
 
 pytestmark = pytest.mark.kernel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.rods import RodBoard, load_rods, save_rods, visible_borders
+from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods, visible_borders
 from binocular_recon.errors import CalibrationError, FileError
 
 EXAMPLE = Path(__file__).parents[2] / 'config' / 'rods.yaml'

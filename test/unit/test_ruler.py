@@ -13,12 +13,12 @@ import pytest
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.config import CloudConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.evaluation.consensus import consensus_fit
-from binocular_recon.evaluation.ruler import Ruler
+from binocular_recon.measurement.robust_fits import consensus_fit
+from binocular_recon.measurement.ruler import Ruler
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.scene import build_scene, rectified_view, true_disparity
-from binocular_recon.stereo.filtering import Filtered
-from binocular_recon.stereo.matching import Match
+from binocular_recon.stereo.filtering.wls_filter import Filtered
+from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.triangulation import triangulate

@@ -23,14 +23,14 @@ pytestmark = pytest.mark.ros
     ],
 )
 def test_a_bad_command_line_is_refused_in_words(words: list[str], reason: str) -> None:
-    from binocular_recon.nodes.running import init_ros
+    from binocular_recon.nodes.runtime.process import init_ros
 
     with pytest.raises(ConfigError, match=reason):
         init_ros(['match_node', *words])
 
 
 def test_a_node_ends_with_status_1(capfd: pytest.CaptureFixture[str]) -> None:
-    from binocular_recon.nodes.running import run_node
+    from binocular_recon.nodes.runtime.process import run_node
 
     def make_node() -> None:
         raise AssertionError('not reached')
@@ -46,7 +46,7 @@ def test_what_fails_after_an_interrupt_is_no_failure(
     """Ctrl-C within a destructor raises nothing; the wait set then finds ROS shut down."""
     import rclpy
 
-    from binocular_recon.nodes.running import run_node
+    from binocular_recon.nodes.runtime.process import run_node
 
     node: Any = SimpleNamespace(destroy_node=lambda: None)
 

@@ -11,7 +11,7 @@ import pytest
 
 from binocular_recon.cli import simulate
 from binocular_recon.cli.main import main
-from binocular_recon.io.bags import Bag
+from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.simulation.render import Sensor
 from binocular_recon.simulation.rig import survey_rig

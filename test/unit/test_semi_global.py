@@ -10,9 +10,9 @@ import pytest
 
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo import _semi_global
-from binocular_recon.stereo._cost_kernels import new_cost_rows, next_cost_row
-from binocular_recon.stereo._layout import CONTRAST, even_levels, exposure_gain
+from binocular_recon.stereo.matching import _semi_global
+from binocular_recon.stereo.matching._cost_kernels import new_cost_rows, next_cost_row
+from binocular_recon.stereo.matching._layout import CONTRAST, even_levels, exposure_gain
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel

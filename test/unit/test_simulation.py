@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.rods import RodBoard, load_rods
+from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.cli import simulate
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture, visible_marks

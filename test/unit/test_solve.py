@@ -10,23 +10,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from binocular_recon.calibration import estimation
 from binocular_recon.calibration import solve as solving
-from binocular_recon.calibration.bundle_adjustment import minimise
-from binocular_recon.calibration.distortion import Evidence, choose_model
-from binocular_recon.calibration.metric_rectification import correction_of, metric_rig
-from binocular_recon.calibration.recalibration import corrected_marks
-from binocular_recon.calibration.rods import Capture, RodBoard
+from binocular_recon.calibration.adjustment import estimation
+from binocular_recon.calibration.adjustment.bundle_adjustment import minimise
+from binocular_recon.calibration.adjustment.distortion import Evidence, choose_model
+from binocular_recon.calibration.rectification.metric_rectification import (
+    correction_of,
+    metric_rig,
+)
+from binocular_recon.calibration.rectification.recalibration import corrected_marks
 from binocular_recon.calibration.screening import Rejected, observations
+from binocular_recon.calibration.session.points_csv import read_points
 from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target import Target
+from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation.calibration_check import (
+from binocular_recon.evaluation.calibration.self_check import (
     check_rows,
     depth_errors_m,
     simulated_captures,
 )
-from binocular_recon.io.points_csv import read_points
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import PlacedBoard, draw_board, place_board
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, solved, truth

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from binocular_recon.errors import BagError, CalibrationError, ImageError
-from binocular_recon.io.bag_writer import BagWriter, write_pair
-from binocular_recon.io.bags import Bag
-from binocular_recon.io.stereo_bag import Pair, StereoBag
-from binocular_recon.io.stereo_topics import find_stereo_topics
+from binocular_recon.io.bags.reader import Bag
+from binocular_recon.io.bags.stereo_bag import Pair, StereoBag
+from binocular_recon.io.bags.stereo_topics import find_stereo_topics
+from binocular_recon.io.bags.writer import BagWriter, write_pair
 from test.bag_tools import (
     FORMATS,
     PERIOD_NS,

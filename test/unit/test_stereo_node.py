@@ -30,7 +30,7 @@ pytestmark = pytest.mark.ros
     ],
 )
 def test_a_frame_that_fails_is_counted_and_said(error: Exception, dropped: str, text: str) -> None:
-    from binocular_recon.nodes.stereo_node import StereoNode
+    from binocular_recon.nodes.runtime.base_node import StereoNode
 
     node: Any = SimpleNamespace(
         process=Mock(side_effect=error), health=Mock(), context=Mock(), _processed=0
@@ -43,7 +43,7 @@ def test_a_frame_that_fails_is_counted_and_said(error: Exception, dropped: str, 
 
 @pytest.mark.parametrize('running', [True, False])
 def test_a_fault_of_ours_is_counted_and_said_while_the_node_runs(running: bool) -> None:
-    from binocular_recon.nodes.stereo_node import StereoNode
+    from binocular_recon.nodes.runtime.base_node import StereoNode
 
     node: Any = SimpleNamespace(health=Mock(), context=Mock(ok=lambda: running))
     StereoNode._fail(node, ZeroDivisionError('fault'))
@@ -58,8 +58,8 @@ def missing_sets(
     feed: Callable[[Synchronizer], None], silent: dict[str, float], confidence_publishers: int
 ) -> str:
     """Return why there are no sets of pictures, disparities and optional confidences."""
-    from binocular_recon.nodes.options import InputOptions
-    from binocular_recon.nodes.stereo_node import StereoNode
+    from binocular_recon.nodes.runtime.base_node import StereoNode
+    from binocular_recon.nodes.runtime.options import InputOptions
 
     names = ('left', 'disparity', 'confidence')
     node: Any = object.__new__(StereoNode)
@@ -137,7 +137,7 @@ def test_what_keeps_frames_from_coming(
     """An optional input may be silent."""
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    from binocular_recon.nodes.stereo_node import StereoNode
+    from binocular_recon.nodes.runtime.base_node import StereoNode
 
     node: Any = object.__new__(StereoNode)
     node._processed, node._superseded, node._listening = 7, 0, [Mock()]

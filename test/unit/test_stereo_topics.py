@@ -6,8 +6,12 @@ from __future__ import annotations
 import pytest
 
 from binocular_recon.errors import BagError
-from binocular_recon.io.bags import Topic, TopicQos
-from binocular_recon.io.stereo_topics import StereoTopics, find_stereo_topics, name_stereo_topics
+from binocular_recon.io.bags.reader import Topic, TopicQos
+from binocular_recon.io.bags.stereo_topics import (
+    StereoTopics,
+    find_stereo_topics,
+    name_stereo_topics,
+)
 
 TYPES = {
     'camera_info': 'sensor_msgs/msg/CameraInfo',

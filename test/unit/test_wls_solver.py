@@ -12,14 +12,14 @@ import pytest
 
 from binocular_recon import _jit
 from binocular_recon.config import ChainConfig
-from binocular_recon.evaluation.synthetic import synthetic_pair
+from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.stereo import _wls_solver
-from binocular_recon.stereo import _wls_transfer_kernels as transfers
-from binocular_recon.stereo._wls_kernels import PAD
-from binocular_recon.stereo._wls_solver import System
-from binocular_recon.stereo.filtering import normal_equations
-from binocular_recon.stereo.matching import match
+from binocular_recon.stereo.filtering import _transfer_kernels as transfers
+from binocular_recon.stereo.filtering import _wls_solver
+from binocular_recon.stereo.filtering._wls_kernels import PAD
+from binocular_recon.stereo.filtering._wls_solver import System
+from binocular_recon.stereo.filtering.wls_filter import normal_equations
+from binocular_recon.stereo.matching.matcher import match
 from test import naive_wls
 
 PAPER = (0.35, 1.8, 1e-4)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import threading
 
-from binocular_recon.nodes.worker import LatestWorker
+from binocular_recon.nodes.runtime.worker import LatestWorker
 
 
 def unexpected(error: Exception) -> None:

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tell the borders between two bands from the ends of a rod.
+
+A dark foot on light ground looks like a border with a light band below it. What is below differs
+from the rod's light bands, and not from what is beside it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from binocular_recon.calibration.detection._border_fit import BorderFit
+from binocular_recon.calibration.detection._rod_sides import RodFit
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage, Mask
+
+# Distances from the border along the rod that are looked at, px.
+ALONG_PX = np.linspace(2.0, 6.0, 5)
+# Places across: on the rod as shares of its half width, beside it from its sides, px.
+ACROSS = np.array([-0.4, 0.0, 0.4])
+BESIDE_PX = np.array([2.0, 3.0])
+# A band's level may differ from its kind's by this share of the step.
+LEVEL_SPREAD = 0.06
+
+
+def rod_ends(
+    image: FloatImage,
+    rods: list[RodFit | None],
+    table: list[list[BorderFit | None]],
+    usual: FloatArray | None,
+) -> tuple[Mask, FloatArray]:
+    """Return which borders have a band of the rod on one side only.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Grey levels.
+    rods : list of RodFit or None
+        Middle lines and widths of the rods.
+    table : list of list of BorderFit or None
+        Borders of each rod, None = not found; below the first one it is dark.
+    usual : (2,) float64 or None
+        Levels of dark and light bands; None = those of these borders.
+
+    Returns
+    -------
+    ends : (R, M) bool
+    usual : (2,) float64
+        Levels of dark and light bands, NaN = unknown.
+
+    """
+    found = np.array([[fit is not None for fit in row] for row in table])
+    # on the rod and beside it, below and above each border
+    levels = np.full((*found.shape, 2, 2), np.nan)
+    for r, (rod, row) in enumerate(zip(rods, table, strict=True)):
+        for m, fit in enumerate(row):
+            if rod is not None and fit is not None:
+                levels[r, m] = _levels(image, rod, fit)
+    on, beside = levels[..., 0], levels[..., 1]
+    light = (np.arange(found.shape[1])[:, None] + np.arange(2)) % 2 == 1
+    if usual is None:
+        kinds = (on[:, kind] for kind in (~light, light))
+        usual = np.array([np.nanmedian(k) if np.isfinite(k).any() else np.nan for k in kinds])
+    dark, bright = usual
+    odd = np.abs(on - np.where(light, bright, dark))
+    with np.errstate(invalid='ignore'):
+        absent = (odd > LEVEL_SPREAD * (bright - dark)) & (np.abs(on - beside) < 0.5 * odd)
+    return _outermost(found, absent[..., 0]) | _outermost(found[:, ::-1], absent[:, ::-1, 1])[
+        :, ::-1
+    ], usual
+
+
+def _outermost(found: Mask, absent: Mask) -> Mask:
+    """Return the first borders of rods beyond which nothing is, if most rods agree on the mark.
+
+    One alone may be hidden or stand before something as even.
+    """
+    first = found & (np.cumsum(found, axis=1) == 1)
+    bare = first & absent
+    agreed = bare.sum(0) > 0.6 * first.sum(0)
+    if len(found) > 1:
+        agreed &= bare.sum(0) > 1
+    ends: Mask = bare & agreed
+    return ends
+
+
+def _levels(image: FloatImage, rod: RodFit, fit: BorderFit) -> FloatArray:
+    """Return the levels on the rod and beside it, below and above a border: (2, 2)."""
+    _, up, half = rod.place(fit.point_px[1])
+    right = np.array([-up[1], up[0]])
+    beside = np.concatenate([-half - BESIDE_PX, half + BESIDE_PX])
+    levels = np.empty((2, 2))
+    for side, sign in enumerate((-1, 1)):
+        along = fit.point_px + sign * ALONG_PX[:, None] * up
+        for kind, across in enumerate((ACROSS * half, beside)):
+            points = along[:, None] + across[:, None] * right
+            x, y = np.rint(points).astype(int).reshape(-1, 2).T
+            height, width = image.shape
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+            seen = image[y[inside], x[inside]]
+            levels[side, kind] = np.median(seen) if seen.size else np.nan
+    return levels

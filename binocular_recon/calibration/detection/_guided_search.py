@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Look where the board says that further marks must be."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from binocular_recon._jit import kernel
+from binocular_recon.calibration.detection._layout_kernels import BESIDE
+from binocular_recon.calibration.target.board_plane import lateral_limit_m
+from binocular_recon.calibration.target.rods import RodBoard
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
+
+# Agreement of the grey levels around a border with the rods' own that makes it a mark
+# (1 = equal, 0 = no border).
+AGREEMENT = 0.45
+# Marks of a rod that vouch for each other: a lone one may be a corner of something else.
+LEAST_MARKS = 2
+# Something in front of the rod may come as near to a border as this, px.
+NEAR_RISE_PX = 2.0
+# How near the frame a mark may be, px.
+FRAME_PX = 1.0
+# Agreement of what is out of the picture.
+OUTSIDE = -9.0
+
+
+class Averaged(NamedTuple):
+    """A picture averaged for rods of one width, in which marks are looked for.
+
+    ``middle`` over the rod's width and a good part of it along the rod, ``near`` over few rows;
+    ``rises_px`` (2,): how far from a border their levels are compared.
+    """
+
+    middle: FloatImage
+    near: FloatImage
+    rises_px: FloatArray
+    width_px: float
+
+    @classmethod
+    def of(cls, image: FloatImage, width_px: float) -> Averaged:
+        """Average a picture (H, W) for rods about ``width_px`` wide."""
+        mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
+        middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
+        near = cv2.blur(image, (2 * mid + 1, 3))
+        return cls(middle, near, np.array([1.0 + tall, NEAR_RISE_PX]), width_px)
+
+
+def complete(
+    averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
+) -> FloatArray:
+    """Add the marks that the picture shows where the board says they must be.
+
+    Parameters
+    ----------
+    averaged : Averaged
+        The picture.
+    board : RodBoard
+        Places of rods and marks.
+    marks_px : (R, M, 2) float64
+        Marks found so far, px; NaN = not found.
+    predicted : (R, M, 2) float64
+        Where every mark should be, px; NaN = not known.
+
+    Returns
+    -------
+    (R, M, 2) float64
+        Those and the new ones, the new ones to about 2 px.
+
+    """
+    levels = _levels(averaged.middle, marks_px, predicted, averaged.rises_px[0])
+    if levels is None:
+        return marks_px
+    completed = marks_px.copy()
+    for rod in range(board.count):
+        missing = ~np.isfinite(marks_px[rod, :, 0])
+        if not missing.any() or not np.isfinite(predicted[rod]).all():
+            continue
+        known = int((~missing).sum())
+        window = _window(board, predicted, rod, known, averaged.width_px)
+        points = np.full((board.marks_per_rod, 2), np.nan)
+        agreement = np.zeros(board.marks_per_rod)
+        middle, near, rises, _ = averaged
+        if known < 2:
+            # only a rod whose place is known may be looked at right beside the border
+            near, rises = middle, rises[[0, 0]]
+        search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
+        new = missing & (agreement > AGREEMENT)
+        if missing.all() and new.sum() < LEAST_MARKS:
+            continue
+        completed[rod, new] = points[new]
+    return completed
+
+
+def _levels(
+    middle: FloatImage, marks_px: FloatArray, predicted: FloatArray, rise: float
+) -> FloatArray | None:
+    """Return the grey levels of dark and light bands next to the marks found: (2,) float64."""
+    size = np.array(middle.shape[::-1]) - 1
+    up = predicted[:, -1] - predicted[:, 0]
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    samples = []
+    for mark in range(marks_px.shape[1]):
+        for side in (-1, 1):
+            points = marks_px[:, mark] + side * rise * up
+            points = points[np.isfinite(points[:, 0])]
+            x, y = np.clip(np.rint(points), 0, size).astype(int).T
+            samples += [((side > 0) == (mark % 2 == 0), level) for level in middle[y, x]]
+    dark = [level for light, level in samples if not light]
+    light = [level for light, level in samples if light]
+    if not dark or np.median(light) <= np.median(dark):
+        return None
+    return np.array([np.median(dark), np.median(light)])
+
+
+def _window(
+    board: RodBoard, everywhere: FloatArray, rod: int, found: int, width_px: float
+) -> FloatArray:
+    """Return how far off a rod's marks may be, sideways and along the rod, and the steps."""
+    predicted = everywhere[rod]
+    scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
+    gap = scale * float(np.diff(board.marks_m).min())
+    if found == 0:
+        apart = np.linalg.norm(everywhere[:, 0] - predicted[0], axis=1)
+        apart[rod] = np.inf
+        side = min(lateral_limit_m(board) * scale, BESIDE * float(np.nanmin(apart)))
+        along = min(0.4 * gap, (4 * board.height_sigma_m + 0.02) * scale + 2)
+    elif found == 1:
+        side = 0.3 * width_px + 4 * board.tilt_sigma_rad * np.ptp(board.marks_m) * scale
+        along = 2 + 0.05 * gap
+    else:
+        side, along = 0.3 * width_px, 1.5 + 0.04 * gap
+    # however far the window reaches, at most so many places are tried
+    return np.array([side, along, max(1.0, 0.25 * width_px, side / 10), max(1.0, along / 15)])
+
+
+@kernel
+def _agreement(
+    middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
+) -> float:
+    """Return how well the levels above and below x, y agree with ``levels`` (below, above).
+
+    ``up`` reaches from the border to the middle of the band above. ``OUTSIDE`` there.
+    """
+    height, width = middle.shape
+    xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
+    xb, yb = int(x - up[0] + 0.5), int(y - up[1] + 0.5)
+    # next to the frame the bands are short
+    ya, yb = max(ya, 0), min(yb, height - 1)
+    if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
+        return OUTSIDE
+    if xa < 0 or xa >= width or xb < 0 or xb >= width:
+        return OUTSIDE
+    off = abs(middle[yb, xb] - levels[0]) + abs(middle[ya, xa] - levels[1])
+    return float(1.0 - off / abs(levels[1] - levels[0]))
+
+
+@kernel
+def search_line(
+    middle: FloatImage,
+    near: FloatImage,
+    predicted: FloatArray,
+    window: FloatArray,
+    levels: FloatArray,
+    rises: FloatArray,
+    points: FloatArray,
+    agreement: FloatArray,
+) -> None:
+    """Shift a whole rod sideways at both ends and along until its marks agree best.
+
+    Parameters
+    ----------
+    middle, near : (H, W) float32
+        Image averaged over the rod's width, and over a few rows only.
+    predicted : (M, 2) float64
+        Where the marks should be, px.
+    window : (4,) float64
+        Largest shift sideways and along, and the steps sideways and along, px.
+    levels : (2,) float64
+        Grey levels of dark and light bands.
+    rises : (2,) float64
+        Distance from a border at which levels of ``middle`` and ``near`` are compared, px.
+    points, agreement : (M, 2), (M,) float64
+        Written: the marks' places and how well their levels agree.
+
+    """
+    count = predicted.shape[0]
+    dx, dy = predicted[-1, 0] - predicted[0, 0], predicted[-1, 1] - predicted[0, 1]
+    length = math.sqrt(dx * dx + dy * dy)
+    dx, dy = dx / length, dy / length
+    step, rise = window[2], rises[0]
+    sides, alongs = math.ceil(window[0] / step), math.ceil(window[1] / window[3])
+    best = -1e9
+    best_low = best_high = best_along = 0.0
+    flipped = levels[::-1].copy()
+    for low in range(-sides, sides + 1):
+        for high in range(-sides, sides + 1):
+            for shift in range(-alongs, alongs + 1):
+                along = shift * window[3]
+                total = 0.0
+                for m in range(count):
+                    f = m / (count - 1)
+                    side = step * (low + f * (high - low))
+                    x = predicted[m, 0] - side * dy + along * dx
+                    y = predicted[m, 1] + side * dx + along * dy
+                    value = _agreement(
+                        middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+                    )
+                    # what is out of the picture tells nothing
+                    if value != OUTSIDE:
+                        total += max(-0.5, value)
+                # equal scores: the smaller shift
+                total -= 1e-3 * (abs(low) + abs(high) + abs(shift))
+                if total > best:
+                    best, best_low, best_high, best_along = total, low, high, along
+    for m in range(count):
+        f = m / (count - 1)
+        side = step * (best_low + f * (best_high - best_low))
+        # each mark may still be a little off
+        agreement[m] = OUTSIDE
+        expected = levels if m % 2 == 0 else flipped
+        for extra in range(-2, 3):
+            along = best_along + extra
+            x = predicted[m, 0] - side * dy + along * dx
+            y = predicted[m, 1] + side * dx + along * dy
+            value = max(
+                _agreement(middle, x, y, (rise * dx, rise * dy), expected),
+                _agreement(near, x, y, (rises[1] * dx, rises[1] * dy), expected),
+            )
+            if value > agreement[m]:
+                agreement[m], points[m, 0], points[m, 1] = value, x, y

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit the two sides of a board's rods to grey levels, below a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.calibration.detection._rod_fit_kernels import (
+    C0,
+    C1,
+    C2,
+    R0,
+    R1,
+    ROD_PARAMETERS,
+    S1,
+    S2,
+    SIGMA,
+    accumulate_rows,
+    shading,
+)
+from binocular_recon.calibration.detection._rod_start_kernels import centre_rod
+from binocular_recon.camera import FloatArray
+from binocular_recon.images import FloatImage
+
+# Blur assumed before it is measured: a good lens and the pixel itself, px.
+USUAL_BLUR_PX = 0.8
+# Steps of the fit; the first ones move the lines only, then some keep the width expected.
+ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
+# Most that a step may change C0 and C1, as a share of the width.
+LINE_STEP = 0.33
+# What the rods of a picture have in common: their width against rod_diameter, S1, S2, blur (px)
+# and how the lens bends them, amid the rods and its change over BEND_REACH_PX, in BEND_UNIT
+# (1 / px): what is expected, its standard deviation, and the most that one step may change.
+COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
+COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0])
+COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
+BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
+OWN = 2
+# Rows of a rod that are fitted at most; neighbours tell much the same.
+MOST_ROWS = 160
+# Rows this near to a border are left out of the fit of the sides, px (and the rod's lean).
+GUARD_PX = 2.5
+# Rows used beyond the outermost marks, as a share of a spacing.
+BEYOND = 0.3
+# Mean contrast of a rod's side, over dark and light bands, against the step between these.
+LEAST_CONTRAST = 0.25
+# The rough lines of rods with a larger half width, px, are centred first on so many rows; a
+# contrast counts no more than this, grey levels.
+WIDE_PX, CENTRE_ROWS, MOST_CONTRAST = 4.0, 40, 60.0
+# Grey levels that a row may be off before it counts less, at least.
+LEAST_RESIDUAL = 2.0
+
+
+class RodFit(NamedTuple):
+    """A rod's middle line and width in the picture.
+
+    ``parameters`` as in ``_rod_fit_kernels``, for z = (y - y_middle) / y_scale.
+    """
+
+    parameters: FloatArray
+    y_middle: float
+    y_scale: float
+
+    def place(self, y: float) -> tuple[FloatArray, FloatArray, float]:
+        """Return the middle of the rod at row y, its direction upwards, half its width across."""
+        p, z = self.parameters, (y - self.y_middle) / self.y_scale
+        slope = (p[1] + 2 * z * p[C2]) / self.y_scale
+        length = float(np.hypot(slope, 1))
+        middle = np.array([p[0] + z * (p[1] + z * p[C2]), y])
+        return middle, np.array([-slope, -1.0]) / length, float(p[R0] + z * p[R1]) / length
+
+
+def fit_rods(
+    image: FloatImage,
+    marks_px: list[FloatArray | None],
+    borders_y: FloatArray,
+    width_px: FloatArray,
+) -> list[RodFit | None]:
+    """Fit the middle lines of a board's rods to their two sides.
+
+    Each row between the marks has its own background on either side and its own level; the lines
+    are the rods' own; how much wider than expected they are, their shading and the blur are common
+    to all. Rows that do not fit (clutter, something in front) count less.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Grey levels.
+    marks_px : list of (M, 2) float64 or None
+        Rough positions of each rod's marks, NaN = unknown, at least two; None = no such rod.
+    borders_y : (R, M) float64
+        Rows of all borders, found or not, px.
+    width_px : (R, M) float64
+        Expected width across each rod at its marks, px.
+
+    Returns
+    -------
+    list of RodFit or None
+        None for a rod that cannot be seen.
+
+    """
+    places = [np.nanmean(marks[:, 0]) for marks in marks_px if marks is not None]
+    sides = [
+        None if marks is None else _start(image, marks, borders, width, float(np.mean(places)))
+        for marks, borders, width in zip(marks_px, borders_y, width_px, strict=True)
+    ]
+    seen = [side for side in sides if side is not None]
+    common = COMMON_START.copy()
+    for step in range(ROD_STEPS if seen else 0):
+        # a blurred model first: its edges reach farther
+        systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
+        change = np.zeros(len(common))
+        if step >= LINE_STEPS:
+            change = _common_change(systems, common)
+            if step < WIDTH_STEPS:
+                change[0] = 0.0
+        common = common + change
+        for side, (normal, gradient) in zip(seen, systems, strict=True):
+            own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
+            limit = 2 * side.half_row_px[0] * LINE_STEP
+            side.line = side.line + np.clip(own, -limit, limit)
+            _weigh_rows(side.rows, side.band)
+    # one rod may stand where its background varies with its bands; a board of such is none
+    flat = [side for side in seen if not side.stands_out(common)]
+    lost = flat if 2 * len(flat) > len(seen) else []
+    return [None if side is None or side in lost else side.result(common) for side in sides]
+
+
+@dataclass(eq=False)
+class _Side:
+    """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
+
+    ``half_row_px`` is half the width along a row that is expected: R0, R1. ``bend`` (2,) is what
+    the common parameters of the lens do to C2.
+    """
+
+    line: FloatArray
+    half_row_px: FloatArray
+    bend: FloatArray
+    y_middle: float
+    y_scale: float
+    rows: FloatArray
+    band: npt.NDArray[np.int64]
+
+    def parameters(self, common: FloatArray) -> FloatArray:
+        """Return the parameters of the kernels."""
+        c2 = self.bend @ common[4:]
+        return np.array([*self.line, c2, *(common[0] * self.half_row_px), *common[1:4]])
+
+    def result(self, common: FloatArray) -> RodFit | None:
+        """Return the fit, None if no row of the rod could be seen."""
+        if not np.isfinite(self.rows[:, 3]).any():
+            return None
+        return RodFit(self.parameters(common), self.y_middle, self.y_scale)
+
+    def stands_out(self, common: FloatArray) -> bool:
+        """Return whether both sides can be told from what is beside the rod.
+
+        A background as dark as the dark bands is darker than the light ones, so that the mean
+        contrast of both kinds of band is half their step at least; at the border between two rows
+        of a chessboard's squares it is nothing on one side.
+        """
+        seen = np.isfinite(self.rows[:, 3])
+        _, _, weight, level, _, left, right = self.rows[seen].T
+        light = self.band[seen] % 2 == 1
+        if weight[light].sum() <= 0 or weight[~light].sum() <= 0:
+            return True
+        dark_level, light_level = (
+            np.average(level[kind], weights=weight[kind]) for kind in (~light, light)
+        )
+        for side, beside in ((-1.0, left), (1.0, right)):
+            edge = shading(side, common[1], common[2])
+            contrast = np.abs(edge * level - beside)
+            mean = np.mean(
+                [np.average(contrast[kind], weights=weight[kind]) for kind in (~light, light)]
+            )
+            if mean < LEAST_CONTRAST * edge * (light_level - dark_level):
+                return False
+        return True
+
+
+def _start(
+    image: FloatImage,
+    marks: FloatArray,
+    borders_y: FloatArray,
+    width_px: FloatArray,
+    x_middle: float,
+) -> _Side:
+    """Set a rod up on the straight line through its marks."""
+    order = np.argsort(-marks[:, 1])  # NaN last
+    order = order[: np.isfinite(marks[:, 0]).sum()]
+    known, width_px = marks[order], width_px[order]
+    low, high = known[-1, 1], known[0, 1]
+    middle, scale = 0.5 * (low + high), max(0.5 * (high - low), 1.0)
+    z = (known[:, 1] - middle) / scale
+    slope, x0 = np.polyfit(z, known[:, 0], 1)
+    lean = float(np.hypot(slope / scale, 1))
+    taper, width = np.polyfit(z, width_px, 1)
+    gap = float(np.median(np.abs(np.diff(known[:, 1]))))
+    first, last = max(0, int(low - BEYOND * gap)), min(len(image) - 1, int(high + BEYOND * gap))
+    y = np.arange(first, last + 1)
+    away = np.abs(y[:, None] - borders_y).min(1)
+    y = y[away > GUARD_PX + 0.5 * width * np.sqrt(lean**2 - 1)]
+    y = y[:: len(y) // MOST_ROWS + 1]
+    rows = np.zeros((len(y), 7))
+    rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
+    band = (borders_y > y[:, None]).sum(1)
+    half = 0.5 * lean * np.array([width, taper])
+    bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
+    line = np.array([x0, slope])
+    if half[0] > WIDE_PX:
+        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MOST_CONTRAST)
+    return _Side(line, half, bend, middle, scale, rows, band)
+
+
+def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
+    """Solve for the common parameters with each rod's own line eliminated."""
+    prior = 1 / COMMON_SIGMA**2
+    total, pull = np.diag(prior), prior * (COMMON_START - common)
+    for normal, gradient in systems:
+        weight = np.linalg.solve(normal[:OWN, :OWN], normal[:OWN, OWN:])
+        total = total + normal[OWN:, OWN:] - normal[OWN:, :OWN] @ weight
+        pull = pull + gradient[OWN:] - weight.T @ gradient[:OWN]
+    change: FloatArray = np.clip(np.linalg.solve(total, pull), -COMMON_STEP, COMMON_STEP)
+    return change
+
+
+def _normal_equations(
+    image: FloatImage, side: _Side, common: FloatArray, soften: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return normal matrix and gradient by C0, C1 and the common parameters.
+
+    In units of the residuals' variance.
+    """
+    parameters = side.parameters(common)
+    parameters[SIGMA] = max(common[3], soften * 2 * side.half_row_px[0])
+    normal = np.zeros((ROD_PARAMETERS, ROD_PARAMETERS))
+    gradient = np.zeros(ROD_PARAMETERS)
+    accumulate_rows(image, side.rows, parameters, normal, gradient)
+    # how the kernels' parameters follow from the rod's own and the common ones
+    combine = np.zeros((ROD_PARAMETERS, OWN + len(common)))
+    combine[[C0, C1, S1, S2, SIGMA], [0, 1, 3, 4, 5]] = 1.0
+    combine[[R0, R1], 2] = side.half_row_px
+    combine[C2, 6:] = side.bend
+    normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
+    residual, weight = side.rows[:, 4], side.rows[:, 2]
+    used = np.isfinite(residual) & (weight > 0)
+    variance = LEAST_RESIDUAL**2
+    if used.any():
+        variance += float(np.average(residual[used] ** 2, weights=weight[used]))
+    normal[range(OWN), range(OWN)] += 1e-6 * variance
+    return normal / variance, gradient / variance
+
+
+def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
+    """Let rows count less whose residual is large or whose level is not that of their band."""
+    level, residual = rows[:, 3], rows[:, 4]
+    seen = np.isfinite(residual)
+    if not seen.any():
+        return
+    typical = max(LEAST_RESIDUAL, float(np.median(residual[seen])))
+    weight = 1 / (1 + (residual / typical) ** 2) ** 2
+    for light in (0, 1):
+        same = seen & (band % 2 == light)
+        if same.any():
+            median = np.median(level[same])
+            spread = np.median(np.abs(level[same] - median)) + LEAST_RESIDUAL
+            weight[same] /= (1 + ((level[same] - median) / (3 * spread)) ** 2) ** 2
+    rows[:, 2] = np.where(seen, weight, 0.0)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find the rods of a board in a picture and measure their marks below a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.calibration.detection._board_layout import Layout, identify
+from binocular_recon.calibration.detection._guided_search import LEAST_MARKS, Averaged, complete
+from binocular_recon.calibration.detection._identity import settle_identity
+from binocular_recon.calibration.detection._refinement import Refined, refine
+from binocular_recon.calibration.detection._rod_search import Track, find_tracks
+from binocular_recon.calibration.target.board_plane import plane_marks, predict_marks
+from binocular_recon.calibration.target.rods import RodBoard
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
+
+# Smallest side of a picture that is searched, px.
+LEAST_SIZE_PX = 32
+# Grey levels between the darkest and the lightest part of a picture after stretching.
+FULL_RANGE = 255.0
+# Least step of a border, in levels of the stretched picture and in standard deviations of noise.
+LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+# With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
+ENOUGH = 0.6
+FURTHER_LEANS = (-0.22, 0.22)
+# Share of the marks that the only rod of a board must show.
+LONE_ROD_SHARE = 0.8
+# Arrangements of candidates looked at before giving up.
+MOST_LAYOUTS = 3
+# Identities adopted one after the other before giving up.
+MOST_IDENTITIES = 3
+NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
+AMBIGUOUS = (
+    'too little of the board is in view to tell which rods and heights these are; show one more'
+    ' rod or the feet'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """What was found of a board in one picture.
+
+    Attributes
+    ----------
+    marks_px : (R, M, 2) float64
+        Position x, y of each mark on the rod's visible middle line, px, pixel centres at integers;
+        NaN = not found.
+    sigma_px : (R, M) float64
+        One standard deviation of each mark along its rod, px; NaN = not found.
+    messages : tuple of str
+        What is missing, in words a crew can act on; empty if every mark was found.
+
+    """
+
+    marks_px: FloatArray
+    sigma_px: FloatArray = field(repr=False)
+    messages: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> npt.NDArray[np.bool_]:
+        """Which marks were found, (R, M) bool."""
+        present: npt.NDArray[np.bool_] = np.isfinite(self.marks_px[..., 0])
+        return present
+
+
+def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
+    """Find the rods of a board in a picture.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8 or uint16
+        Grey or BGR picture, not rectified.
+    board : RodBoard
+        The rods.
+
+    Returns
+    -------
+    Detection
+        Each mark with its rod and height, or left out if there is doubt.
+
+    Raises
+    ------
+    ImageError
+        If the picture's type or shape is another.
+
+    """
+    image = _checked(image)
+    height, width = image.shape[:2]
+    best = _nothing(board, f'a picture of {width}x{height} px is too small for rods')
+    if min(height, width) < LEAST_SIZE_PX:
+        return best
+    for attempt, (grey, tracks) in enumerate(_searches(image, board)):
+        detection = _detect(grey, board, tracks)
+        if attempt == 0 or detection.found.sum() > best.found.sum():
+            best = detection
+        if best.found.mean() >= ENOUGH:
+            break
+    return best
+
+
+def _searches(
+    image: npt.NDArray[Any], board: RodBoard
+) -> Iterator[tuple[FloatImage, list[Track]]]:
+    """Yield stretched pictures with what may be rods: upright ones, then leaning ones too."""
+    upright = []
+    for grey in _channels(image):
+        stretched, threshold = _stretch(grey)
+        tracks = find_tracks(stretched, board, threshold)
+        yield stretched, tracks
+        upright.append((stretched, threshold, tracks))
+    for stretched, threshold, tracks in upright:
+        yield stretched, find_tracks(stretched, board, threshold, FURTHER_LEANS, tracks)
+
+
+def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection:
+    for _ in range(MOST_LAYOUTS):
+        layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
+        if layout is None:
+            break
+        detection = _settle(grey, board, layout)
+        if detection is not None:
+            return detection
+        # regular clutter, such as a chessboard, looked more like the board
+        tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
+    return _nothing(board, NOTHING)
+
+
+def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | None:
+    """Measure the marks of a layout and make sure which they are; None if it is no board."""
+    rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
+    for _ in range(MOST_IDENTITIES):
+        refined = _measure(image, averaged, board, rough)
+        if not _convincing(board, refined.marks_px):
+            return None
+        identity = settle_identity(image, averaged, board, refined)
+        if identity is refined.marks_px:
+            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < LEAST_MARKS
+            refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
+            return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+        if identity is None:
+            break
+        rough = identity
+    return _nothing(board, AMBIGUOUS)
+
+
+def _nothing(board: RodBoard, message: str) -> Detection:
+    marks = np.full((board.count, board.marks_per_rod, 2), np.nan)
+    return Detection(marks, marks[..., 0], (message,))
+
+
+def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: FloatArray) -> Refined:
+    """Measure the marks found roughly, then those that the board says must be there too."""
+    size = image.shape[1], image.shape[0]
+    plane = plane_marks(board, rough, size)
+    refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
+    for _ in range(2):
+        # what is measured tells better where the rest must be
+        known = refined.marks_px
+        plane = plane_marks(board, known, size)
+        predicted = predict_marks(board, known, plane)
+        more = complete(averaged, board, known, predicted)
+        if np.isfinite(more).sum() == np.isfinite(known).sum():
+            break
+        refined = refine(image, board, more, predicted, plane)
+    return refined
+
+
+def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
+    """Return whether enough marks stand in line for a board: three on each of two rods.
+
+    A lone rod has nothing but its marks to tell it from a post with bands: most must be there.
+    """
+    per_rod = np.isfinite(marks_px[..., 0]).sum(1)
+    if board.count == 1:
+        return bool(per_rod[0] >= LONE_ROD_SHARE * board.marks_per_rod)
+    complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
+    return bool(complete_rods >= 2)
+
+
+def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a picture as (H, W) or (H, W, 3); raise an ImageError if it is none."""
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
+        raise ImageError(
+            f'a picture of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
+            f' {image.shape} {image.dtype}'
+        )
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.ndim == 3 and image.shape[2] != 3:
+        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
+    return image
+
+
+def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
+    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
+
+    The smallest of blue, green and red is low on every strong colour and high on white.
+    """
+    if image.ndim == 2:
+        yield image.astype(np.float32)
+        return
+    color = image.astype(np.float32)
+    yield np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2GRAY))
+    yield color.min(2)
+
+
+def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
+    """Stretch a picture to the full range; return it and the least step of a border."""
+    # rods may fill no more than a thousandth of a picture; the mean of pixels hides a bad one
+    sample = cv2.resize(grey, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
+    low, high = np.percentile(sample, (0.01, 99.99))
+    gain = FULL_RANGE / max(float(high - low), 1e-3)
+    # black stays black: light on a round rod multiplies
+    stretched = grey * np.float32(gain)
+    # the median of absolute second differences tells the noise: flat places prevail
+    rows = stretched[::4]
+    second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
+    noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
+    return stretched, max(LEAST_STEP, LEAST_STEP_SIGMAS * min(noise, 10.0))
+
+
+def _messages(marks_px: FloatArray) -> tuple[str, ...]:
+    """Say what is missing."""
+    found = np.isfinite(marks_px[..., 0])
+    if found.all():
+        return ()
+    rods = [f'rod {r + 1} of {len(found)} not found' for r in np.nonzero(~found.any(1))[0]]
+    return (*rods, f'{found.sum()} of {found.size} marks')

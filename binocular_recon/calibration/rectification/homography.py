@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Homographies of a pair of pictures, and how much they resample them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from binocular_recon.calibration.model import StereoCalibration
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import CalibrationError
+
+# Points per side of the grid over a picture on which resampling is measured.
+_GRID = 9
+# A point must come back from undistortion this closely, px, in this share of the picture.
+_RETURN_PX, _LEAST_USABLE = 0.1, 0.5
+# Distortion of a lens changes the local scale by less than a factor of 3 (its logarithm).
+_TORN = np.log(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A pair of correcting homographies, acting on undistorted pixels.
+
+    Attributes
+    ----------
+    H_left, H_right : (3, 3) float64
+        Undistorted to corrected pixels.
+
+    """
+
+    H_left: FloatArray
+    H_right: FloatArray
+
+    def side(self, name: str) -> FloatArray:
+        """Return the homography of ``'left'`` or ``'right'``."""
+        return self.H_left if name == 'left' else self.H_right
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What the choice of a homography needs to know of one raw picture.
+
+    Attributes
+    ----------
+    points_px : (N, 2) float64
+        A grid over the raw picture, undistorted, px. Points that the distortion model does not
+        map back to themselves are left out: few boards may leave it absurd in the corners.
+    jacobians : (N, 2, 2) float64
+        Derivative of the undistorted by the raw position at each point.
+    usable_share : float
+        Share of the grid that is kept.
+
+    """
+
+    points_px: FloatArray
+    jacobians: FloatArray
+    usable_share: float
+
+    @classmethod
+    def of(cls, calibration: StereoCalibration, side: str) -> Picture:
+        """Lay the grid over the picture of ``'left'`` or ``'right'``."""
+        width, height = calibration.image_size
+        axes = np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)
+        raw = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        step = 0.5 * np.eye(2)
+        points = calibration.undistort(raw, side)
+        returned = calibration.distort(points, side)
+        usable = np.linalg.norm(returned - raw, axis=1) < _RETURN_PX
+        columns = [
+            calibration.undistort(raw + s, side) - calibration.undistort(raw - s, side)
+            for s in step
+        ]
+        jacobians = np.stack(columns, axis=-1)
+        # next to a fold the picture is torn apart, behind it directions turn round
+        scales = np.linalg.svd(jacobians, compute_uv=False)
+        usable &= (np.linalg.det(jacobians) > 0) & (np.abs(np.log(scales)) < _TORN).all(axis=-1)
+        if usable.mean() < _LEAST_USABLE:
+            raise CalibrationError(
+                f'the distortion of the {side} camera is absurd: it cannot be undone in'
+                f' {1 - usable.mean():.0%} of the picture; capture boards in more of the picture'
+            )
+        return cls(points[usable], jacobians[usable], float(usable.mean()))
+
+    def resampling(self, homography: FloatArray) -> FloatArray:
+        """Return how far each singular value of raw -> corrected departs from 1, (2 N,)."""
+        mapped = np.column_stack([self.points_px, np.ones(len(self.points_px))]) @ homography.T
+        w = mapped[:, 2:, None]
+        projective = (homography[:2, :2] * w - mapped[:, :2, None] * homography[2, :2]) / w**2
+        values = np.linalg.svd(projective @ self.jacobians, compute_uv=False)
+        return np.asarray(values.ravel() - 1, np.float64)
+
+    def denominators(self, homography: FloatArray) -> FloatArray:
+        """Return the third homogeneous coordinate of the mapped grid, (N,)."""
+        w: FloatArray = self.points_px @ homography[2, :2] + homography[2, 2]
+        return w
+
+
+def apply(homography: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Map (..., 2) px by a homography; NaN stays NaN."""
+    mapped = pixels @ homography[:, :2].T + homography[:, 2]
+    result: FloatArray = mapped[..., :2] / mapped[..., 2:]
+    return result
+
+
+def apply_inverse(homography: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Map (..., 2) px by the inverse of a homography."""
+    inverse: FloatArray = np.linalg.inv(homography).astype(np.float64, copy=False)
+    return apply(inverse, pixels)
+
+
+def centring(
+    aligned: Correction, left: Picture, right: Picture, image_size: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shifts (l3, r3 and the common u0 of eq. 9) that centre both pictures."""
+    means = [
+        apply(H, picture.points_px).mean(axis=0)
+        for H, picture in ((aligned.H_left, left), (aligned.H_right, right))
+    ]
+    x_centre, y_centre = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+    rows = y_centre - (means[0][1] + means[1][1]) / 2
+    shifts = [np.array([[1, 0, x_centre - mean[0]], [0, 1, rows], [0, 0, 1]]) for mean in means]
+    return shifts[0], shifts[1]
+
+
+def check_in_front(*denominators: FloatArray) -> None:
+    if min(w.min() for w in denominators) <= 0:
+        raise CalibrationError(
+            'an epipole lies too close to its picture for rows to be aligned; mount the cameras'
+            ' side by side with their axes nearly parallel'
+        )

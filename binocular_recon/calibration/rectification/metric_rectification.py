@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The polar-line correction that keeps Z = f T / d: what CameraInfo states as R and P.
+
+Eq. 9 makes rows correspond; for metric depth both corrected cameras must also be K* R* with the
+same R*, the same f_x, f_y and c_y, and no skew (eq. 1-2). Free remain f_x, f_y, c_y, the turn
+about the baseline and each c_x; they are chosen to resample the recorded pictures least.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.rectification.homography import (
+    Correction,
+    Picture,
+    centring,
+    check_in_front,
+)
+from binocular_recon.calibration.rectification.polar import check_epipoles
+from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.errors import CalibrationError
+
+# The principal points of both cameras are the same, so that a point at infinity has disparity 0,
+# unless centring the pictures would set them apart by more than this share of the width.
+OFFSET_LIMIT = 0.1
+
+
+def metric_rig(calibration: StereoCalibration) -> StereoRig:
+    """Return the rig with the rectification R, P that resamples both pictures least.
+
+    Both cameras share R* (its x axis is the baseline), f_x, f_y and c_y; f_x, f_y and the turn
+    about the baseline are chosen by least resampling, c_y and c_x by centring. c_x is the same in
+    both (disparity 0 at infinity) unless the cameras squint by more than ``OFFSET_LIMIT``.
+
+    Raises
+    ------
+    CalibrationError
+        If an epipole lies inside or close to its picture, or the cameras are swapped or stand
+        one above the other.
+
+    """
+    check_order(calibration)
+    check_epipoles(calibration)
+    left, right = (Picture.of(calibration, side) for side in ('left', 'right'))
+    facing = _rotation_to_baseline(calibration)
+
+    def pair(free: FloatArray) -> Correction:
+        K_star = np.diag([free[0], free[1], 1.0])
+        return _metric_pair(calibration, K_star, rotation(np.array([free[2], 0, 0])) @ facing)
+
+    def departure(free: FloatArray) -> FloatArray:
+        chosen = pair(free)
+        return np.concatenate([left.resampling(chosen.H_left), right.resampling(chosen.H_right)])
+
+    focal = (calibration.K_left[:2, :2].trace() + calibration.K_right[:2, :2].trace()) / 4
+    best = least_squares(departure, [focal, focal, 0.0], x_scale=[focal, focal, 1.0], method='lm')
+    aligned = pair(best.x)
+    check_in_front(left.denominators(aligned.H_left), right.denominators(aligned.H_right))
+    shifts = centring(aligned, left, right, calibration.image_size)
+    K_left, K_right = (shift @ np.diag([best.x[0], best.x[1], 1.0]) for shift in shifts)
+    if abs(K_left[0, 2] - K_right[0, 2]) <= OFFSET_LIMIT * calibration.image_size[0]:
+        K_left[0, 2] = K_right[0, 2] = (K_left[0, 2] + K_right[0, 2]) / 2
+    R_star = rotation(np.array([best.x[2], 0, 0])) @ facing
+    P_left = np.column_stack([K_left, np.zeros(3)])
+    P_right = np.column_stack([K_right, [-K_right[0, 0] * calibration.baseline_m, 0, 0]])
+    return StereoRig(
+        _camera(calibration, 'left', R_star, P_left),
+        _camera(calibration, 'right', R_star @ calibration.R.T, P_right),
+    )
+
+
+def correction_of(calibration: StereoCalibration, rig: StereoRig) -> Correction:
+    """Return the homographies of undistorted to rectified pixels that a rig's R and P state."""
+    return Correction(
+        rig.left.P[:, :3] @ rig.left.R @ np.linalg.inv(calibration.K_left),
+        rig.right.P[:, :3] @ rig.right.R @ np.linalg.inv(calibration.K_right),
+    )
+
+
+def check_order(calibration: StereoCalibration) -> None:
+    """Raise a CalibrationError unless the right camera stands to the right of the left one."""
+    x, y, _ = calibration.right_centre_m
+    if abs(y) > abs(x):
+        raise CalibrationError(
+            f'the right camera stands {abs(y):.3g} m above or below the left one and'
+            f' {abs(x):.3g} m beside it; rows can only be matched between cameras side by side'
+        )
+    if x < 0:
+        raise CalibrationError(
+            f'left and right are swapped: the right camera stands {-x:.3g} m to the left of the'
+            ' left one; exchange the pictures of the two cameras'
+        )
+
+
+def _rotation_to_baseline(calibration: StereoCalibration) -> FloatArray:
+    """Return the rotation from the left camera to x along the baseline, z the mean view."""
+    x = calibration.right_centre_m / calibration.baseline_m
+    view = np.array([0, 0, 1.0]) + calibration.R.T[:, 2]
+    y = np.cross(view, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)])
+
+
+def _metric_pair(
+    calibration: StereoCalibration, K_star: FloatArray, R_star: FloatArray
+) -> Correction:
+    """Return H = K* R* R^T K^-1, so that H M = K* R* [I | -C] for both cameras (eq. 1-2)."""
+    return Correction(
+        K_star @ R_star @ np.linalg.inv(calibration.K_left),
+        K_star @ R_star @ calibration.R.T @ np.linalg.inv(calibration.K_right),
+    )
+
+
+def _camera(calibration: StereoCalibration, side: str, R: FloatArray, P: FloatArray) -> Camera:
+    width, height = calibration.image_size
+    K, D, _, _ = calibration.side(side)
+    rational = D[5:].any()
+    return Camera(
+        width=width,
+        height=height,
+        K=K,
+        D=D if rational else D[:5],
+        R=R,
+        P=P,
+        distortion_model='rational_polynomial' if rational else 'plumb_bob',
+    )

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers of a calibration as tables of its report."""
+
+from __future__ import annotations
+
+from html import escape
+
+from binocular_recon.calibration.result import CalibrationResult
+from binocular_recon.drawing.page import section, table
+
+
+def numbers(result: CalibrationResult) -> str:
+    """Return both cameras, their pose and the distortion models that were compared."""
+    calibration, sigma = result.calibration, result.sigma
+    K = {'left': calibration.K_left, 'right': calibration.K_right}
+    D = {'left': calibration.D_left, 'right': calibration.D_right}
+    rows = []
+    for name, place in (('fx', (0, 0)), ('fy', (1, 1)), ('cx', (0, 2)), ('cy', (1, 2))):
+        values = (f'{K[s][place]:.3f} ± {sigma[f"{name}_{s}_px"]:.2g} px' for s in K)
+        rows.append((name, *values))
+    for i, name in enumerate(('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6')):
+        if f'{name}_left' in sigma:
+            values = (f'{D[s][i]:.6f} ± {sigma[f"{name}_{s}"]:.1g}' for s in D)
+            rows.append((name, *values))
+    pose = [
+        (f'T {axis}', f'{1e3 * calibration.T[i]:.3f} ± {1e3 * sigma[f"T_{axis}_m"]:.2g} mm')
+        for i, axis in enumerate('xyz')
+    ]
+    evidence = [
+        (
+            f'<b>{escape(e.model)}</b>' if e.model == result.model else escape(e.model),
+            f'{e.parameters}',
+            f'{e.chi2:.0f}',
+            f'{e.bic:+.0f}',
+        )
+        for e in result.evidence
+    ]
+    return section(
+        'Numbers',
+        'Values with one standard deviation. Distortion models are compared by the Bayesian'
+        ' information criterion (lower is better); a larger model than k1 k2 p1 p2 is taken only'
+        ' on strong evidence.',
+        table(('', 'left', 'right'), rows),
+        table(('pose', 'right from left'), pose),
+        table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),
+    )

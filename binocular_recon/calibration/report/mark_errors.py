@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reconstructed marks against what is known of them (the paper's Fig. 10 and 11)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from binocular_recon.calibration.target.target import Target
+from binocular_recon.camera import FloatArray
+
+
+def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
+    """Return how far reconstructed marks are from their known places.
+
+    On rods: along the rod, after the rod's marks have been laid over their known heights. On a
+    target of points: away from the board's middle, after the board has been laid over the known
+    points. Only the shape is compared, so a calibration's own frame does not matter.
+
+    Parameters
+    ----------
+    marks_m : (B, R, M, 3) float64
+        Reconstructed marks, m; NaN = not seen by both cameras.
+    target : Target
+        What is known.
+
+    Returns
+    -------
+    (B, R, M) float64
+        Errors, m, positive = too far from the middle; NaN = not seen, or too few to compare.
+
+    """
+    errors = np.full(marks_m.shape[:-1], np.nan)
+    for board in range(len(marks_m)):
+        if not target.has_rods:
+            errors[board, :, 0] = _point_errors(marks_m[board, :, 0], target.anchors_m)
+            continue
+        for rod in range(marks_m.shape[1]):
+            errors[board, rod] = _rod_errors(marks_m[board, rod], target.heights_m)
+    return errors
+
+
+def _rod_errors(marks: FloatArray, heights: FloatArray) -> FloatArray:
+    errors = np.full(len(marks), np.nan)
+    seen = np.isfinite(marks).all(axis=-1)
+    if seen.sum() < 2:
+        return errors
+    known = heights[seen] - heights[seen].mean()
+    centred = marks[seen] - marks[seen].mean(axis=0)
+    direction = known @ centred
+    direction /= np.linalg.norm(direction)
+    errors[seen] = np.sign(known) * (centred @ direction - known)
+    return errors
+
+
+def _point_errors(marks: FloatArray, points: FloatArray) -> FloatArray:
+    errors = np.full(len(marks), np.nan)
+    seen = np.isfinite(marks).all(axis=-1)
+    if seen.sum() < 4:
+        return errors
+    known = points[seen] - points[seen].mean(axis=0)
+    centred = marks[seen] - marks[seen].mean(axis=0)
+    u, _, vt = np.linalg.svd(centred.T @ known)
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    distances = np.maximum(np.linalg.norm(known, axis=1), 1e-9)
+    errors[seen] = np.sum((centred @ turn - known) * known, axis=1) / distances
+    return errors

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration report: one HTML file with its pictures inside, nothing from the network."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from html import escape
+from typing import NamedTuple
+
+import numpy as np
+
+from binocular_recon import __version__
+from binocular_recon.calibration.report import _charts as charts
+from binocular_recon.calibration.report._charts import METHODS
+from binocular_recon.calibration.report._numbers import numbers
+from binocular_recon.calibration.report.mark_errors import mark_errors_m
+from binocular_recon.calibration.result import (
+    DISPARITY_SIGMA_PX,
+    CalibrationResult,
+    row_statistics,
+)
+from binocular_recon.drawing.page import (
+    PAGE,
+    STYLE,
+    figure,
+    legend,
+    section,
+    table,
+)
+
+_UNCORRECTED = '#c8553d'
+# Distances listed in the table of depth sigmas.
+_DEPTH_ROWS = 6
+# Fields of a picture whose coverage is counted.
+_FIELDS = 8, 5
+
+
+class BoardPicture(NamedTuple):
+    """A board's two pictures side by side as a JPEG, with the marks drawn in.
+
+    ``reason`` says why the board was left out; empty if it was used.
+    """
+
+    name: str
+    jpeg: bytes
+    reason: str = ''
+
+
+def render_report(result: CalibrationResult, pictures: Sequence[BoardPicture] = ()) -> str:
+    """Return the report as an HTML page, with the pictures given."""
+    sections = (
+        _summary(result),
+        _notes(result),
+        _depth(result),
+        _methods(result),
+        _rows(result),
+        _heights(result),
+        _coverage(result),
+        _residuals(result),
+        _next_boards(result),
+        _pictures(pictures),
+        numbers(result),
+    )
+    return PAGE.substitute(style=STYLE, sections='\n'.join(sections), version=escape(__version__))
+
+
+def _summary(result: CalibrationResult) -> str:
+    calibration, sigma = result.calibration, result.sigma
+    depth = _working_depth(result)
+    marks = int(np.isfinite(result.adjusted.residuals_px).all(axis=-1).sum())
+    width, height = calibration.image_size
+    noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
+    cards = (
+        (f'{1e3 * result.depth_sigma_m(depth):.3g} mm', f'depth sigma at {depth:g} m'),
+        (
+            f'{1e3 * calibration.baseline_m:.2f} mm',
+            f'baseline, ± {1e3 * sigma["baseline_m"]:.2g} mm',
+        ),
+        (
+            f'{calibration.K_left[0, 0]:.0f} / {calibration.K_right[0, 0]:.0f} px',
+            f'focal length left / right, ± {sigma["fx_left_px"]:.2g} px',
+        ),
+        (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
+        (
+            f'{len(result.names)}',
+            f'boards used, {marks} marks in both pictures, {width}x{height} px',
+        ),
+    )
+    items = ''.join(f'<li><b>{value}</b><span>{label}</span></li>' for value, label in cards)
+    return f'<ul class="cards">{items}</ul>'
+
+
+def _notes(result: CalibrationResult) -> str:
+    notes = [escape(warning) for warning in result.warnings]
+    notes += [
+        f'Board <b>{escape(board.name)}</b> was left out: {escape(board.reason)}.'
+        for board in result.rejected
+    ]
+    if count := int(result.estimate.outliers.sum()):
+        notes.append(f'{count} single marks were left out, beyond what their noise allows.')
+    if not notes:
+        return '<p class="good">Every board and every mark was used.</p>'
+    return f'<ul class="notes">{"".join(f"<li>{note}</li>" for note in notes)}</ul>'
+
+
+def _depth(result: CalibrationResult) -> str:
+    depth = _working_depth(result)
+    picture, low, high = charts.depth_sigma_map(result, depth)
+    rows = []
+    for z in np.linspace(0.5, 1.5, _DEPTH_ROWS) * depth:
+        sigmas = (1e3 * result.depth_sigma_m(z, noise) for noise in (0.0, DISPARITY_SIGMA_PX))
+        rows.append((f'{z:.3g} m', *(f'{sigma:.3g} mm' for sigma in sigmas)))
+    return section(
+        'How well depth will be known',
+        f'One standard deviation over the middle half of the pictures, from the covariance of the'
+        f' calibration and {DISPARITY_SIGMA_PX:g} px of disparity noise.',
+        figure(
+            charts.depth_sigma(result),
+            legend(
+                ('total', METHODS['adjusted']),
+                ('calibration alone', METHODS['planar']),
+                ('disparity noise alone', METHODS['corrected']),
+            ),
+        ),
+        figure(
+            picture,
+            f"The calibration's own share at {depth:g} m over the left picture:"
+            f' {1e3 * low:.3g} mm (light) to {1e3 * high:.3g} mm (dark).',
+        ),
+        table(('distance', 'calibration alone', 'with disparity noise'), rows),
+    )
+
+
+def _methods(result: CalibrationResult) -> str:
+    stages = [getattr(result, name) for name in METHODS]
+    rows = [
+        (
+            escape(name),
+            *(f'{stage.board_error_px[i]:.3f}' for stage in stages),
+            _change(stages[2].board_error_px[i], stages[0].board_error_px[i]),
+        )
+        for i, name in enumerate(result.names)
+    ]
+    means = [float(stage.board_error_px.mean()) for stage in stages]
+    rows.append(('average', *(f'{mean:.3f}' for mean in means), _change(means[2], means[0])))
+    return section(
+        'Three methods on the same marks: reprojection error',
+        'Planar: every rod taken as exactly placed (Zhang). Corrected: calibrated again after'
+        ' polar-line correction. Adjusted: both cameras and every rod estimated together; this is'
+        ' the calibration that was saved. Root mean square per image axis in the original'
+        ' pictures, so that a perfect calibration shows the noise of the marks.',
+        figure(charts.board_errors(result), legend(*METHODS.items()), wide=True),
+        table(
+            ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
+            rows,
+            kind='total wide',
+        ),
+    )
+
+
+def _rows(result: CalibrationResult) -> str:
+    rows = []
+    for name, differences in (
+        ('uncorrected', result.planar.row_difference_px),
+        ('corrected (planar calibration)', result.corrected.row_difference_px),
+        ('adjusted calibration', result.adjusted.row_difference_px),
+    ):
+        statistics = row_statistics(differences)
+        rows.append((name, f'{statistics["mean"]:.3f}', f'{statistics["max"]:.3f}'))
+    return section(
+        'Rows of the two pictures',
+        'A mark must appear in the same row of both rectified pictures. What remains here is'
+        ' mostly the noise of the marks themselves.',
+        figure(
+            charts.row_differences(result),
+            legend(
+                ('uncorrected', _UNCORRECTED),
+                ('corrected', METHODS['corrected']),
+                ('adjusted', METHODS['adjusted']),
+            ),
+        ),
+        table(('row difference', 'mean, px', 'largest, px'), rows),
+    )
+
+
+def _heights(result: CalibrationResult) -> str:
+    target = result.estimate.problem.target
+    rows = []
+    for name in METHODS:
+        errors = 1e3 * mark_errors_m(getattr(result, name).marks_m, target)
+        errors = errors[np.isfinite(errors)]
+        if errors.size:
+            rms = np.sqrt(np.mean(errors**2))
+            rows.append((name, f'{rms:.2f}', f'{np.abs(errors).max():.2f}'))
+    if not rows:
+        return ''
+    known = [figure(charts.known_heights(result), legend(*METHODS.items()))]
+    if target.has_rods:
+        known.append(
+            figure(
+                charts.heights_of_marks(result),
+                'Mean of each mark over all rods, with its standard deviation.',
+            )
+        )
+    what = (
+        'Marks reconstructed from both pictures, laid over the known heights of their rod'
+        if target.has_rods
+        else 'Points reconstructed from both pictures, laid over the known target'
+    )
+    return section(
+        'Reconstructed marks against what is known',
+        f'{what}. The plan shows where the boards stood and what both cameras see.',
+        figure(charts.plan(result), 'Boards from above.'),
+        *known,
+        table(('method', 'root mean square, mm', 'largest, mm'), rows),
+    )
+
+
+def _coverage(result: CalibrationResult) -> str:
+    depth = result.marks_m[..., 2]
+    figures = []
+    for side in ('left', 'right'):
+        share = 100 * _covered(result, side)
+        figures.append(
+            figure(
+                charts.coverage(result, side),
+                f'{side.capitalize()} picture: marks in {share:.0f} % of its fields; dark = far.',
+            )
+        )
+    return section(
+        'Coverage',
+        f'Distortion and depth are known where marks were seen: {depth.min():.3g} to'
+        f' {depth.max():.3g} m.',
+        *figures,
+        figure(charts.depth_coverage(result), 'Marks seen by both cameras at each distance.'),
+    )
+
+
+def _residuals(result: CalibrationResult) -> str:
+    figures = []
+    for side in ('left', 'right'):
+        picture, factor = charts.residual_vectors(result, side)
+        figures.append(figure(picture, f'{side.capitalize()} picture, {factor:g} times enlarged.'))
+    return section(
+        'Residuals after adjustment',
+        'Arrows in all directions are noise; a pattern would mean distortion that the model does'
+        ' not have.',
+        *figures,
+    )
+
+
+def _next_boards(result: CalibrationResult) -> str:
+    if not result.advice:
+        return ''
+    items = ''.join(f'<li>{escape(str(advice))}</li>' for advice in result.advice)
+    return section(
+        'What to capture next',
+        'Of all places in view, these boards would lower the depth sigma most, each given those'
+        ' before it.',
+        f'<ol class="advice">{items}</ol>',
+    )
+
+
+def _pictures(pictures: Sequence[BoardPicture]) -> str:
+    if not pictures:
+        return ''
+    figures = []
+    for name, jpeg, reason in pictures:
+        data = b64encode(jpeg).decode()
+        words = f'Board {escape(name)}' + (f' was left out: {escape(reason)}' if reason else '')
+        kind = ' class="left-out"' if reason else ''
+        figures.append(
+            f'<figure{kind}><img alt="Board {escape(name)}"'
+            f' src="data:image/jpeg;base64,{data}"><figcaption>{words}.</figcaption></figure>'
+        )
+    return section(
+        'Pictures',
+        'Left and right picture of each board. Green: marks that were used; red: marks that were'
+        ' found and left out.',
+        f'<div class="pictures">{"".join(figures)}</div>',
+    )
+
+
+def _covered(result: CalibrationResult, side: str) -> float:
+    """Return the share of the fields of a picture that hold a mark."""
+    uv = slice(0, 2) if side == 'left' else slice(2, 4)
+    pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    width, height = result.calibration.image_size
+    columns, rows = (pixels / [width / _FIELDS[0], height / _FIELDS[1]]).astype(int).T
+    return len(set(zip(columns, rows, strict=True))) / (_FIELDS[0] * _FIELDS[1])
+
+
+def _working_depth(result: CalibrationResult) -> float:
+    """Return a round distance near the far end of the boards, m."""
+    return float(f'{np.quantile(result.marks_m[..., 2], 0.9):.2g}')
+
+
+def _change(value: float, reference: float) -> str:
+    return f'{round(100 * (value / reference - 1)):+d} %'

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a calibration: written as a whole, the one before is kept.
+
+``left.yaml``, ``right.yaml``, ``calibration.json`` and ``report.html``; those of the calibration
+before are in ``previous/``.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from binocular_recon.calibration.report.report import render_report
+from binocular_recon.calibration.result import CalibrationResult
+from binocular_recon.calibration.session.board_images import board_pictures
+from binocular_recon.errors import FileError
+from binocular_recon.io.calibration_yaml import PENDING, write_rig
+from binocular_recon.io.files import complete_file, flush, make_folder, write_json
+
+FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
+PREVIOUS = 'previous'
+# A new calibration lies here until it is complete, then in `PENDING`.
+_PARTIAL = '.calibration.part'
+
+
+def save_calibration(
+    result: CalibrationResult,
+    folder: Path,
+    names: tuple[str, str] = ('left', 'right'),
+    captures: Path | None = None,
+) -> tuple[Path, ...]:
+    """Write a calibration; the one in the folder moves to ``previous/``.
+
+    An interruption at any point leaves either the old calibration or, after `finish_saving`, the
+    new one; never a mixture.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        What `solve` returned.
+    folder : Path
+        Made with its parents where it does not exist.
+    names : (str, str)
+        Names of the left and the right camera, which their drivers compare.
+    captures : Path, optional
+        Folder of the boards' pictures, for the report.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+
+    Raises
+    ------
+    FileError
+        If the files cannot be written.
+
+    """
+    make_folder(folder)
+    finish_saving(folder)
+    partial = folder / _PARTIAL
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        make_folder(partial)
+        write_rig(partial, result.rig, names)
+        write_json(partial / 'calibration.json', result.to_mapping())
+        with complete_file(partial / 'report.html') as file:
+            pictures = board_pictures(result, captures) if captures else ()
+            file.write(render_report(result, pictures).encode())
+        for path in partial.iterdir():
+            flush(path)
+        flush(partial)
+        partial.rename(folder / PENDING)
+    except OSError as error:
+        raise _failure(folder, error) from error
+    finish_saving(folder)
+    return tuple(folder / name for name in FILES)
+
+
+def finish_saving(folder: Path) -> None:
+    """Put a calibration in place whose saving was interrupted; does nothing if none was.
+
+    `read_rig` reads what was saved last without it.
+
+    Raises
+    ------
+    FileError
+        If the files cannot be moved.
+
+    """
+    complete = folder / PENDING
+    if not complete.is_dir():
+        return
+    previous = folder / PREVIOUS
+    try:
+        for name in FILES:
+            # a file that has taken its place before the interruption is no longer here
+            if (complete / name).exists():
+                if (folder / name).exists():
+                    previous.mkdir(exist_ok=True)
+                    (folder / name).replace(previous / name)
+                (complete / name).replace(folder / name)
+        complete.rmdir()
+        flush(folder)
+    except OSError as error:
+        raise _failure(folder, error) from error
+
+
+def _failure(folder: Path, error: OSError) -> FileError:
+    return FileError(
+        f'the calibration cannot be saved in {folder}: {error.strerror or error}; the one before'
+        ' is unharmed; free some space or choose another folder'
+    )

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of rod boards on disk: ``left_NAME.png`` and ``right_NAME.png``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from binocular_recon._jit import thread_count
+from binocular_recon.calibration.detection.detect import detect_rods
+from binocular_recon.calibration.screening import Rejected
+from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.errors import BinocularReconError, CalibrationError, FileError
+from binocular_recon.io.image_files import read_image_file
+
+SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm')
+
+
+@dataclass(frozen=True)
+class BoardFiles:
+    """The two pictures of one board; None where there is not exactly one, as ``problem`` says."""
+
+    name: str
+    left: Path | None
+    right: Path | None
+    problem: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class BoardReading:
+    """What came out of one board's pictures.
+
+    Attributes
+    ----------
+    files : BoardFiles
+        Where it came from.
+    capture : Capture or None
+        The marks; None if the board cannot be used.
+    size : (int, int) or None
+        Width and height of both pictures, px.
+    reason : str
+        Why there is no capture, or which marks are missing.
+
+    """
+
+    files: BoardFiles
+    capture: Capture | None
+    size: tuple[int, int] | None
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureSet:
+    """All usable boards of a folder.
+
+    Attributes
+    ----------
+    captures : tuple of Capture
+        Marks of each board.
+    image_size : (int, int)
+        Width and height of every picture, px.
+    rejected : tuple of Rejected
+        Boards whose pictures cannot be used and why.
+
+    """
+
+    captures: tuple[Capture, ...]
+    image_size: tuple[int, int]
+    rejected: tuple[Rejected, ...]
+
+
+def find_boards(folder: Path) -> list[BoardFiles]:
+    """List the boards of a folder by name.
+
+    Raises
+    ------
+    FileError
+        If the folder does not exist or holds no such pictures.
+
+    """
+    if not folder.is_dir():
+        raise FileError(f'{folder} is no folder; give the folder with the pictures of the boards')
+    boards = list_boards(folder)
+    if not boards:
+        raise FileError(
+            f'{folder} holds no pictures of boards; they must be named left_NAME.png and'
+            ' right_NAME.png with the same NAME'
+        )
+    return boards
+
+
+def list_boards(folder: Path) -> list[BoardFiles]:
+    """List the boards of a folder that exists by name; there may be none."""
+    found: dict[str, dict[str, list[Path]]] = {}
+    for path in sorted(folder.iterdir()):
+        side, _, name = path.stem.partition('_')
+        if side in ('left', 'right') and name and path.suffix.lower() in SUFFIXES:
+            found.setdefault(name, {'left': [], 'right': []})[side].append(path)
+    return [_board_files(name, sides) for name, sides in sorted(found.items())]
+
+
+def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
+    problems = [f'there is no {side} picture' for side, paths in sides.items() if not paths]
+    problems += [
+        f'there are {len(paths)} {side} pictures ({", ".join(path.name for path in paths)});'
+        ' keep one'
+        for side, paths in sides.items()
+        if len(paths) > 1
+    ]
+    left, right = (paths[0] if len(paths) == 1 else None for paths in sides.values())
+    return BoardFiles(name, left, right, '; '.join(problems))
+
+
+def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
+    """Detect the rods in both pictures of a board; what is wrong is told, not raised."""
+    pair, sizes = [], []
+    if files.left is None or files.right is None:
+        return BoardReading(files, None, None, files.problem)
+    for path in (files.left, files.right):
+        try:
+            image = read_image_file(path)
+            pair.append(detect_rods(image[..., :3] if image.ndim == 3 else image, board))
+        except BinocularReconError as error:
+            return BoardReading(files, None, None, str(error))
+        except (cv2.error, ValueError) as error:
+            # whatever is in one picture, the other boards are read
+            reason = f'{path} cannot be searched for rods: {error}'
+            return BoardReading(files, None, None, reason)
+        sizes.append((image.shape[1], image.shape[0]))
+    if sizes[0] != sizes[1]:
+        reason = (
+            f'the left picture is {sizes[0][0]}x{sizes[0][1]} px, the right one'
+            f' {sizes[1][0]}x{sizes[1][1]} px'
+        )
+        return BoardReading(files, None, None, reason)
+    left, right = pair
+    missing = '; '.join(
+        f'{side}: {message}'
+        for side, detection in (('left', left), ('right', right))
+        for message in detection.messages
+    )
+    if not (left.found.any() and right.found.any()):
+        return BoardReading(files, None, sizes[0], missing)
+    capture = Capture(files.name, left.marks_px, right.marks_px)
+    return BoardReading(files, capture, sizes[0], missing)
+
+
+def read_captures(
+    folder: Path, board: RodBoard, told: Callable[[BoardReading], None] | None = None
+) -> CaptureSet:
+    """Detect the rods in all pictures of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds ``left_NAME.png`` and ``right_NAME.png``.
+    board : RodBoard
+        The rods.
+    told : callable, optional
+        Told each board as it is finished.
+
+    Raises
+    ------
+    FileError
+        If the folder holds no pictures of boards.
+    CalibrationError
+        If no board could be found in any pair of pictures.
+
+    """
+    return capture_set(read_boards(find_boards(folder), board, told), folder)
+
+
+def read_boards(
+    boards: Sequence[BoardFiles],
+    board: RodBoard,
+    told: Callable[[BoardReading], None] | None = None,
+) -> list[BoardReading]:
+    """Detect the rods in the pictures of boards; what ``told`` raises ends it early."""
+    readings = []
+    with ThreadPoolExecutor(thread_count()) as pool:
+        try:
+            for reading in pool.map(lambda files: read_board(files, board), boards):
+                readings.append(reading)
+                if told is not None:
+                    told(reading)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return readings
+
+
+def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
+    """Separate the boards of a folder that were found from those that were not.
+
+    Raises
+    ------
+    CalibrationError
+        If no board could be found in any pair of pictures.
+
+    """
+    sizes = Counter(reading.size for reading in readings if reading.capture and reading.size)
+    if not sizes:
+        reasons = '; '.join(f'{reading.files.name}: {reading.reason}' for reading in readings[:3])
+        raise CalibrationError(
+            f'no rods were found in any of the {len(readings)} boards of {folder} ({reasons});'
+            ' check that rods.yaml describes the rods in the pictures'
+        )
+    size = sizes.most_common(1)[0][0]
+    captures, rejected = [], []
+    for reading in readings:
+        if reading.capture is None:
+            rejected.append(Rejected(reading.files.name, reading.reason))
+        elif reading.size != size:
+            assert reading.size is not None
+            reason = '{}x{} px, but most pictures are {}x{} px'.format(*reading.size, *size)
+            rejected.append(Rejected(reading.files.name, f'its pictures are {reason}'))
+        else:
+            captures.append(reading.capture)
+    return CaptureSet(tuple(captures), size, tuple(rejected))

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of what was detected, for the crew that puts up rods."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from binocular_recon.calibration.detection.detect import Detection
+from binocular_recon.images import ByteImage
+
+_FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
+# Size of a mark and of letters, as a share of the picture's height.
+_MARK_SHARE, _TEXT_SHARE = 1 / 120, 1 / 30
+
+
+def draw_detections(
+    pictures: tuple[ByteImage, ByteImage], found: tuple[Detection, Detection]
+) -> ByteImage:
+    """Draw the marks of both pictures, side by side.
+
+    Parameters
+    ----------
+    pictures : pair of (H, W, 3) uint8
+        Left and right, BGR.
+    found : pair of Detection
+        What was found in them.
+
+    Returns
+    -------
+    image : (H, 2 W, 3) uint8
+        A line along each rod with its number, a circle at each mark, and in words what is
+        missing.
+
+    """
+    return np.hstack([_drawn(*side) for side in zip(pictures, found, strict=True)])
+
+
+def _drawn(picture: ByteImage, detection: Detection) -> ByteImage:
+    image = picture.copy()
+    height = image.shape[0]
+    radius, scale = max(2, round(height * _MARK_SHARE)), height * _TEXT_SHARE / 30
+    for number, (marks, present) in enumerate(
+        zip(detection.marks_px, detection.found, strict=True), start=1
+    ):
+        points = [(round(x), round(y)) for x, y in marks[present]]
+        if not points:
+            continue
+        cv2.line(image, points[0], points[-1], _FOUND, 1, cv2.LINE_AA)
+        for point in points:
+            cv2.circle(image, point, radius, _FOUND, 1, cv2.LINE_AA)
+        top = min(points, key=lambda point: point[1])
+        _write(image, str(number), (top[0] - radius, top[1] - 2 * radius), scale)
+    total = detection.found
+    lines = [f'{total.sum()} of {total.size} marks', *detection.messages]
+    for row, line in enumerate(lines, start=1):
+        _write(image, line, (2 * radius, round(35 * scale * row)), scale)
+    return image
+
+
+def _write(image: ByteImage, text: str, place: tuple[int, int], scale: float) -> None:
+    for colour, width in ((_OUTLINE, 4), (_TEXT, 1)):
+        thickness = max(1, round(scale * width))
+        cv2.putText(
+            image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA
+        )

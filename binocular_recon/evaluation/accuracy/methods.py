@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is compared: our presets and OpenCV's matchers, behind one face."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from binocular_recon.config import ChainConfig, OptionValue
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.accuracy.scenes import Scene
+from binocular_recon.images import FloatImage, Image, to_grey
+from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
+from binocular_recon.stereo.matching.matcher import match, sigma_from_confidence
+from binocular_recon.stereo.pipeline import estimate_disparity
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A disparity map and, where the method offers one, its standard deviation.
+
+    Attributes
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity; NaN = unfilled.
+    sigma_px : (H, W) float32 or None
+        One standard deviation.
+
+    """
+
+    disparity_px: FloatImage
+    sigma_px: FloatImage | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way from a picture pair to a disparity map.
+
+    Attributes
+    ----------
+    name : str
+        Name in tables.
+    prepare : function
+        Takes left picture, right picture and number of disparities; returns the function that is
+        timed, which makes the `Estimate`.
+    ours : bool
+        True for a preset, False for a peer.
+
+    """
+
+    name: str
+    prepare: Callable[[Image, Image, int], Callable[[], Estimate]]
+    ours: bool = False
+
+    def estimate(self, scene: Scene) -> Estimate:
+        """Return the estimate for a scene."""
+        return self.prepare(scene.left, scene.right, scene.max_disparity_px)()
+
+
+def preset_method(preset: str, **overrides: OptionValue) -> Method:
+    """Return the chain from pictures to dense disparity with a preset's options.
+
+    Raises
+    ------
+    ConfigError
+        If the preset or an option is unknown or out of range.
+
+    """
+    ChainConfig.preset(preset, **overrides)
+
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+        config = _config(preset, overrides, disparity_range)
+        wls = DisparityFilter(config.filter)
+
+        def run() -> Estimate:
+            _, filtered = estimate_disparity(left, right, config, wls)
+            return Estimate(filtered.disparity_px, filtered.sigma_px)
+
+        return run
+
+    return Method(preset, prepare, ours=True)
+
+
+def match_method(preset: str, **overrides: OptionValue) -> Method:
+    """Return a preset's matching alone, before the filter."""
+    ChainConfig.preset(preset, **overrides)
+
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+        config = _config(preset, overrides, disparity_range)
+
+        def run() -> Estimate:
+            matched = match(to_grey(left), to_grey(right), config.match)
+            return Estimate(matched.disparity_px, sigma_from_confidence(matched.confidence))
+
+        return run
+
+    return Method(f'{preset}, match only', prepare, ours=True)
+
+
+def opencv_method(matcher: peers.OpenCvMatcher) -> Method:
+    """Return one of OpenCV's matchers; the padding that it needs is made beforehand."""
+
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+        columns = -(-disparity_range // 16) * 16
+        padded_left, padded_right = (peers.padded(image, columns) for image in (left, right))
+        compute = matcher.prepare(columns)
+
+        def run() -> Estimate:
+            disparity = compute(
+                peers.to_bytes(padded_left),
+                peers.to_bytes(padded_right),
+                peers.to_guide(padded_left),
+            )
+            return Estimate(peers.from_fixed_point(disparity, columns))
+
+        return run
+
+    return Method(matcher.name, prepare)
+
+
+def _config(preset: str, overrides: dict[str, OptionValue], disparity_range: int) -> ChainConfig:
+    search: dict[str, OptionValue] = {'min_disparity': 0, 'disparity_range': disparity_range}
+    return ChainConfig.preset(preset, **{**search, **overrides})

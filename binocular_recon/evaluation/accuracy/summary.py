@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of an evaluation, as Markdown."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.evaluation.accuracy.metrics import Accuracy
+from binocular_recon.evaluation.accuracy.robustness import CropChange, ExposureChange
+from binocular_recon.evaluation.accuracy.scoring import SceneScores, Score
+
+REGIONS = ('everywhere', 'visible', 'occluded')
+# Times are given relative to the first of these that took part.
+TIME_REFERENCES = ('StereoSGBM 5 (3WAY) + WLS', 'StereoSGBM 5 (3WAY)')
+# Fewer pixels in a band of depth say nothing about a scene.
+MIN_BAND_PIXELS = 100
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A method's figures, averaged over scenes.
+
+    Attributes
+    ----------
+    method : str
+        Its name.
+    ours : bool
+        True for a preset, False for a peer.
+    regions : dict of str to Accuracy
+        By region (`REGIONS`); ``pixels`` is the sum. A region that no scene knows is absent.
+    seconds : float
+        Mean time of a scene.
+    relative_time : float
+        Mean of the time's ratio to the reference's; NaN without a reference.
+
+    """
+
+    method: str
+    ours: bool
+    regions: dict[str, Accuracy]
+    seconds: float
+    relative_time: float
+
+
+def mean_over_scenes(scenes: Sequence[SceneScores]) -> list[Mean]:
+    """Average each method's figures over scenes."""
+    names = [score.method for score in scenes[0].scores]
+    reference = next((names.index(name) for name in TIME_REFERENCES if name in names), None)
+    means = []
+    for i, name in enumerate(names):
+        scores = [scene.scores[i] for scene in scenes]
+        ratios = [
+            scene.scores[i].seconds / scene.scores[reference].seconds
+            for scene in scenes
+            if reference is not None
+        ]
+        regions = {region: _mean_accuracy(scores, region) for region in REGIONS}
+        means.append(
+            Mean(
+                name,
+                scores[0].ours,
+                {region: value for region, value in regions.items() if value is not None},
+                float(np.mean([score.seconds for score in scores])),
+                float(np.mean(ratios)) if ratios else math.nan,
+            )
+        )
+    return means
+
+
+def _mean_accuracy(scores: Sequence[Score], region: str) -> Accuracy | None:
+    known = [getattr(score, region) for score in scores]
+    known = [value for value in known if value is not None and value.pixels]
+    if not known:
+        return None
+    return Accuracy(
+        sum(value.pixels for value in known),
+        tuple(float(x) for x in np.mean([value.bad_percent for value in known], axis=0)),
+        float(np.mean([value.measured_error_px for value in known])),
+        float(np.mean([value.mean_error_px for value in known])),
+        float(np.mean([value.density_percent for value in known])),
+    )
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return an aligned Markdown table: text to the left in the first column, figures right."""
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+
+    def line(cells: Sequence[str]) -> str:
+        first, *rest = (
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        )
+        return '| ' + ' | '.join([first, *rest]) + ' |'
+
+    rule = '|' + '|'.join(
+        '-' * (width + 2) if i == 0 else '-' * (width + 1) + ':' for i, width in enumerate(widths)
+    )
+    return '\n'.join([line(header), rule + '|', *map(line, rows)])
+
+
+def figure(value: float | None, digits: int = 1) -> str:
+    """Return a number for a table, ``-`` if there is none."""
+    if value is None or math.isnan(value):
+        return '-'
+    return f'{value:.{digits}f}' if math.isfinite(value) else 'none'
+
+
+def overview(means: Sequence[Mean]) -> str:
+    """Return the main table: every method over all pixels with ground truth."""
+    header = ['mean over scenes, all pixels', 'bad-1.0 %', 'bad-2.0 %', 'bad-3.0 %']
+    header += ['mean error px', 'of filled px', 'density %', 'time ms', 'relative']
+    rows = []
+    for mean in means:
+        everywhere = mean.regions['everywhere']
+        rows.append(
+            [
+                mean.method,
+                *(figure(bad) for bad in everywhere.bad_percent),
+                figure(everywhere.mean_error_px, 2),
+                figure(everywhere.measured_error_px, 2),
+                figure(everywhere.density_percent),
+                figure(1000 * mean.seconds, 0),
+                figure(mean.relative_time, 2),
+            ]
+        )
+    return markdown_table(header, rows)
+
+
+def visibility(means: Sequence[Mean]) -> str:
+    """Return bad pixels and mean errors of visible and occluded pixels; empty if not known."""
+    regions = REGIONS[1:]
+    if not all(region in means[0].regions for region in regions):
+        return ''
+    header = ['mean over scenes']
+    for region in regions:
+        header += [f'{region}: bad-1.0 %', 'bad-2.0 %', 'mean error px', 'density %']
+    rows = []
+    for mean in means:
+        row = [mean.method]
+        for region in regions:
+            value = mean.regions[region]
+            row += [figure(value.bad_percent[0]), figure(value.bad_percent[1])]
+            row += [figure(value.mean_error_px, 2), figure(value.density_percent)]
+        rows.append(row)
+    return markdown_table(header, rows)
+
+
+def by_scene(scenes: Sequence[SceneScores], threshold: int = 1) -> str:
+    """Return bad-2.0 (or another threshold's share) of every method on every scene."""
+    header = [f'bad-{threshold + 1}.0 %, all pixels', *(scene.scene for scene in scenes)]
+    rows = [
+        [
+            score.method,
+            *(figure(scene.scores[i].everywhere.bad_percent[threshold]) for scene in scenes),
+        ]
+        for i, score in enumerate(scenes[0].scores)
+    ]
+    return markdown_table(header, rows)
+
+
+def depth_by_band(scenes: Sequence[SceneScores]) -> str:
+    """Return the depth error by band of distance, a mean over scenes; empty if none is metric."""
+    metric = [scene for scene in scenes if scene.scores[0].depth]
+    if not metric:
+        return ''
+    bands = [(depth.near_m, depth.far_m) for depth in metric[0].scores[0].depth]
+    rows = []
+    for i, score in enumerate(metric[0].scores):
+        row = [score.method]
+        for band in range(len(bands)):
+            found = [scene.scores[i].depth[band] for scene in metric]
+            found = [depth for depth in found if depth.pixels >= MIN_BAND_PIXELS]
+            median = np.mean([depth.median_m for depth in found]) if found else math.nan
+            p90 = np.mean([depth.p90_m for depth in found]) if found else math.nan
+            row.append(f'{figure(float(median), 3)} / {figure(float(p90), 2)}')
+        rows.append(row)
+    header = ['depth error m, median / 90th percentile']
+    return markdown_table([*header, *(f'{near:g}-{far:g} m' for near, far in bands)], rows)
+
+
+def sigma_honesty(scenes: Sequence[SceneScores]) -> str:
+    """Return RMS(error / sigma) of our methods on every scene; empty without any of ours."""
+    chosen = [i for i, score in enumerate(scenes[0].scores) if score.sigma_rms is not None]
+    if not chosen:
+        return ''
+    header = ['RMS(error / sigma)', *(scene.scene for scene in scenes)]
+    rows = [
+        [
+            scenes[0].scores[i].method,
+            *(figure(scene.scores[i].sigma_rms, 2) for scene in scenes),
+        ]
+        for i in chosen
+    ]
+    return markdown_table(header, rows)
+
+
+def sigma_by_bin(scenes: Sequence[SceneScores]) -> list[str]:
+    """Return predicted against measured error, pooled over scenes: a table for each of ours."""
+    tables = []
+    for i, score in enumerate(scenes[0].scores):
+        if not score.sigma:
+            continue
+        header = [f'{score.method}: predicted sigma px', 'pixels %', 'predicted RMS px']
+        header += ['measured RMS px', 'mismatched %']
+        total = sum(one.pixels for scene in scenes for one in scene.scores[i].sigma)
+        rows = []
+        for k, edges in enumerate(score.sigma):
+            bins = [
+                scene.scores[i].sigma[k] for scene in scenes if scene.scores[i].sigma[k].pixels
+            ]
+            pixels = np.array([one.pixels for one in bins], float)
+            if not bins:
+                continue
+            wrong = np.array([one.mismatched_percent for one in bins]) / 100
+            kept = pixels * (1 - wrong)
+            rows.append(
+                [
+                    f'{edges.low_px:g} - {edges.high_px:g}',
+                    figure(100 * pixels.sum() / total),
+                    figure(_pooled_rms([one.predicted_px for one in bins], kept), 3),
+                    figure(_pooled_rms([one.measured_px for one in bins], kept), 3),
+                    figure(100 * float((pixels * wrong).sum() / pixels.sum())),
+                ]
+            )
+        tables.append(markdown_table(header, rows))
+    return tables
+
+
+def _pooled_rms(values: Sequence[float], weights: object) -> float:
+    weight = np.asarray(weights)
+    if not weight.sum():
+        return math.nan
+    return float(np.sqrt(np.nansum(weight * np.square(values)) / weight.sum()))
+
+
+def exposure_table(changes: Sequence[ExposureChange]) -> str:
+    """Return how bad-2.0 changes when the right picture is made darker; empty if not tried."""
+    names = list(dict.fromkeys(change.method for change in changes))
+    rows = []
+    for name in names:
+        mine = [change for change in changes if change.method == name]
+        before, after = (
+            np.array([getattr(change, key) for change in mine])
+            for key in ('bad_percent', 'changed_bad_percent')
+        )
+        rows.append(
+            [
+                name,
+                *(figure(float(x)) for x in (before.mean(), after.mean())),
+                *(f'{x:+.1f}' for x in ((after - before).mean(), (after - before).max())),
+            ]
+        )
+    header = ['other exposure', 'bad-2.0 %', 'darker right', 'change', 'worst scene']
+    return markdown_table(header, rows) if rows else ''
+
+
+def crop_table(changes: Sequence[CropChange]) -> str:
+    """Return the largest change of disparity by cutting the pictures; empty if not tried."""
+    depths = sorted({change.depth_px for change in changes})
+    rows = []
+    for name in dict.fromkeys(change.method for change in changes):
+        row = [name]
+        for depth in depths:
+            found = [c for c in changes if c.method == name and c.depth_px == depth]
+            largest = float(np.nanmax([c.largest_px for c in found]))
+            p99 = float(np.nanmean([c.p99_px for c in found]))
+            appeared = max(c.appeared_percent for c in found)
+            row.append(f'{figure(largest, 3)} / {figure(p99, 3)} / {figure(appeared)}')
+        rows.append(row)
+    header = [
+        'change by cropping: largest px / 99 % of pixels px / validity %',
+        *(f'{depth} px inside' for depth in depths),
+    ]
+    return markdown_table(header, rows) if rows else ''
+
+
+def to_plain(value: Any) -> Any:
+    """Return dataclasses, tuples and NaN as what JSON has: objects, arrays and null."""
+    if dataclasses.is_dataclass(value):
+        return {f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [to_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the benchmark times: each stage of the chain next to what OpenCV or SciPy has for it.
+
+Each function returns contestants by name, ready to be called; the first is the reference that
+the others' times are divided by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.config import ChainConfig
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.speed.synthetic import SyntheticPair, synthetic_pair
+from binocular_recon.images import FloatImage, Image, to_grey
+from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
+from binocular_recon.stereo.matching.matcher import Match, match
+from binocular_recon.stereo.pipeline import Chain
+from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.triangulation import triangulate
+
+Contestants = dict[str, Callable[[], object]]
+
+SGBM = peers.OpenCvMatcher('sgbm_3way')
+SGBM_WLS = peers.OpenCvMatcher('sgbm_3way', peers.WLS_LAMBDA)
+
+# A rig of 1 m baseline with the field of view and the distortion of a common lens.
+_FOCAL_PER_WIDTH = 0.86
+_BASELINE_M = 1.0
+_DISTORTION = np.array([-0.12, 0.05, 4e-4, -3e-4, 0.0])
+
+# Grey levels of 255 by which two pictures of a still scene differ.
+_FRAME_NOISE = 2.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of a benchmark.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the pictures, px.
+    disparity_range : int
+        Number of disparities searched.
+
+    """
+
+    width: int
+    height: int
+    disparity_range: int
+
+    @property
+    def numbers(self) -> tuple[int, int, int]:
+        """Width, height and disparities."""
+        return self.width, self.height, self.disparity_range
+
+    @property
+    def scores(self) -> int:
+        """Pixels times disparities."""
+        return self.width * self.height * self.disparity_range
+
+    def __str__(self) -> str:
+        """Return it as it is given on the command line."""
+        return f'{self.width}x{self.height}x{self.disparity_range}'
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Input of all stages at one size.
+
+    Attributes
+    ----------
+    size : Size
+        The size.
+    presets : sequence of str
+        Presets that take part.
+
+    """
+
+    size: Size
+    presets: Sequence[str]
+
+    @cached_property
+    def pair(self) -> SyntheticPair:
+        """The pictures, rectified."""
+        return synthetic_pair(*self.size.numbers)
+
+    @cached_property
+    def recorded(self) -> tuple[Image, Image]:
+        """The pictures as the cameras of the rig would record them."""
+        pair, rig = self.pair, self.rig
+        return _distorted(pair.left, rig.left), _distorted(pair.right, rig.right)
+
+    @cached_property
+    def rig(self) -> StereoRig:
+        """A rig whose cameras have this size and some distortion."""
+        width, height = self.size.width, self.size.height
+        focal = _FOCAL_PER_WIDTH * width
+        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        P_left = np.column_stack([K, np.zeros(3)])
+        P_right = np.column_stack([K, (-focal * _BASELINE_M, 0, 0)])
+        return StereoRig(
+            *(Camera(width, height, K, _DISTORTION, np.eye(3), P) for P in (P_left, P_right))
+        )
+
+    @cached_property
+    def grey(self) -> tuple[FloatImage, FloatImage]:
+        """The pictures as our stages take them."""
+        return to_grey(self.pair.left), to_grey(self.pair.right)
+
+    @cached_property
+    def matches(self) -> dict[str, Match]:
+        """What each preset's matching makes of the pictures."""
+        return {name: match(*self.grey, self.config(name).match) for name in self.presets}
+
+    def config(self, preset: str) -> ChainConfig:
+        """Return a preset's options with this size's search range."""
+        return ChainConfig.preset(
+            preset, min_disparity=0, disparity_range=self.size.disparity_range
+        )
+
+
+def matching(bench: Bench) -> Contestants:
+    """From two grey pictures to a disparity map; ours both directions with all checks."""
+    left, right = (peers.to_bytes(image) for image in (bench.pair.left, bench.pair.right))
+    guide, search = bench.pair.left, bench.size.disparity_range
+
+    def opencv(matcher: peers.OpenCvMatcher) -> Callable[[], object]:
+        compute = matcher.prepare(search)
+        return lambda: compute(left, right, guide)
+
+    def ours(preset: str) -> Callable[[], object]:
+        config = bench.config(preset).match
+        return lambda: match(*bench.grey, config)
+
+    rivals = [SGBM, peers.OpenCvMatcher('bm'), peers.OpenCvMatcher('sgbm')]
+    return {
+        **{rival.name: opencv(rival) for rival in rivals},
+        **{name: ours(name) for name in bench.presets},
+    }
+
+
+def filtering(bench: Bench) -> Contestants:
+    """From measured disparities to a dense map.
+
+    ximgproc's filter is an approximation (separable passes along rows and columns). Its time
+    holds the left-right check that gives it its weights, and the solutions for disparity and
+    weight; ours the completion of holes, links, setting up and solving to the tolerance, and the
+    standard deviation. Both work with an object made beforehand. The warm runs follow a frame
+    that differs by its noise, as in a video of a still scene.
+    """
+    contestants: Contestants = {}
+    if peers.has_ximgproc():
+        contestants['ximgproc DisparityWLSFilter'] = _ximgproc_filter(bench)
+    for preset in bench.presets:
+        contestants[preset] = _our_filter(bench, preset)
+        contestants[f'{preset}, warm'] = _our_filter(bench, preset, warm=True)
+    return contestants
+
+
+def _ximgproc_filter(bench: Bench) -> Callable[[], object]:
+    left, right = (peers.to_bytes(image) for image in (bench.pair.left, bench.pair.right))
+    guide = bench.pair.left
+    matcher = SGBM.matcher(bench.size.disparity_range)
+    wls = peers.wls_filter(matcher)
+    disparity = matcher.compute(left, right)
+    mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(right, left)
+    return lambda: wls.filter(disparity, guide, disparity_map_right=mirrored)
+
+
+def _our_filter(bench: Bench, preset: str, *, warm: bool = False) -> Callable[[], object]:
+    config, guide = bench.config(preset), bench.grey[0]
+    wls, limits_px = DisparityFilter(config.filter), config.match.limits_px
+
+    def run(matched: Match, initial: FloatImage | None) -> FloatImage:
+        images = matched.disparity_px, matched.confidence, guide
+        return wls(*images, limits_px=limits_px, initial=initial).disparity_px
+
+    initial = None
+    if warm:
+        random = np.random.default_rng(1)
+        left, right = (
+            image + random.normal(0, _FRAME_NOISE, image.shape).astype(np.float32)
+            for image in bench.grey
+        )
+        initial = run(match(left, right, config.match), None)
+    return lambda: run(bench.matches[preset], initial)
+
+
+def rectifying(bench: Bench) -> Contestants:
+    """Both pictures of a pair, maps made beforehand."""
+    left, right = bench.recorded
+    remap = _remap(bench.rig)
+    rectifier = Rectifier(bench.rig)
+    return {'cv2.remap': lambda: remap(left, right), 'Rectifier': lambda: rectifier(left, right)}
+
+
+def triangulating(bench: Bench) -> Contestants:
+    """From a dense disparity map to points; ours with the standard deviation of each depth."""
+    disparity_px = bench.pair.disparity_px
+    sigma_px = np.full_like(disparity_px, 0.1)
+    Q = _reprojection(bench.rig)
+    config = bench.config(bench.presets[0]).cloud
+    return {
+        'cv2.reprojectImageTo3D': lambda: cv2.reprojectImageTo3D(disparity_px, Q),
+        'triangulate': lambda: triangulate(disparity_px, sigma_px, bench.rig, config),
+    }
+
+
+def chain(bench: Bench) -> Contestants:
+    """From two colour pictures as a camera gives them to the cloud."""
+    left, right = bench.recorded
+    contestants: Contestants = {}
+    if peers.has_ximgproc():
+        contestants['remap, SGBM 3WAY x 2, WLS, reprojectImageTo3D'] = _opencv_chain(bench)
+    for preset in bench.presets:
+        ours = Chain(bench.rig, bench.config(preset))
+        contestants[preset] = lambda ours=ours: ours(left, right)  # type: ignore[misc]
+    return contestants
+
+
+def _opencv_chain(bench: Bench) -> Callable[[], object]:
+    remap, Q = _remap(bench.rig), _reprojection(bench.rig)
+    compute = SGBM_WLS.prepare(bench.size.disparity_range)
+
+    def run() -> object:
+        left, right = remap(*bench.recorded)
+        grey_left, grey_right = (
+            cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right)
+        )
+        disparity = compute(grey_left, grey_right, left)
+        return cv2.reprojectImageTo3D(disparity.astype(np.float32) / 16, Q)
+
+    return run
+
+
+def _distorted(image: Image, camera: Camera) -> Image:
+    """Return a rectified picture as its camera would record it."""
+    columns, rows = np.meshgrid(*(np.arange(length, dtype=np.float64) for length in camera.size))
+    recorded = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+    rectified = cv2.undistortPoints(recorded, camera.K, camera.D, R=camera.R, P=camera.P)
+    places = rectified.reshape(*image.shape[:2], 2).astype(np.float32)
+    return np.asarray(
+        cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    )
+
+
+def _remap(rig: StereoRig) -> Callable[[Image, Image], list[Image]]:
+    maps = [
+        cv2.initUndistortRectifyMap(c.K, c.D, c.R, c.P[:, :3], c.size, cv2.CV_16SC2)
+        for c in (rig.left, rig.right)
+    ]
+    return lambda *images: [
+        cv2.remap(image, *pair, cv2.INTER_LINEAR) for image, pair in zip(images, maps, strict=True)
+    ]
+
+
+def _reprojection(rig: StereoRig) -> Image:
+    """Return OpenCV's Q, which turns (column, row, disparity, 1) into homogeneous points."""
+    cx, cy = rig.left.P[0, 2], rig.left.P[1, 2]
+    return np.array(
+        [
+            [1.0, 0, 0, -cx],
+            [0, 1, 0, -cy],
+            [0, 0, 0, rig.focal_px],
+            [0, 0, 1 / rig.baseline_m, -rig.disparity_offset_px / rig.baseline_m],
+        ]
+    )

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of bags: whole, as the rosbags library reads them, or what is left of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag1, QosDurability, QosReliability
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
+
+from binocular_recon.io.bags import _salvage as _bag_salvage
+
+# DDS does not tell the depth of a publisher, so recorders store 0: rclpy's usual depth then.
+DEFAULT_DEPTH = 10
+
+
+class TopicQos(NamedTuple):
+    """Quality of service that a topic was offered with."""
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = DEFAULT_DEPTH
+
+
+class Topic(NamedTuple):
+    """A topic of a bag."""
+
+    name: str
+    msgtype: str
+    message_count: int
+    qos: TopicQos
+
+
+# A message as its file holds it.
+Message = tuple[Topic, int, bytes]
+
+
+class Recording(NamedTuple):
+    """Messages of a topic in one file, and what their publishers offered."""
+
+    name: str
+    msgtype: str
+    message_count: int
+    offers: list[TopicQos]
+
+
+class Source(Protocol):
+    """A file or folder with messages."""
+
+    path: Path
+    connections: list[Recording]
+    start_ns: int
+    ros1: bool
+    definitions: dict[str, str]
+
+    def messages(self, topics: Collection[Topic]) -> Iterator[Message]: ...
+
+    def close(self) -> None: ...
+
+
+class Recorded:
+    """A bag, or one file of it, as the rosbags library reads it."""
+
+    def __init__(self, path: Path, *, ros1: bool = False) -> None:
+        self.path, self.ros1 = path, ros1
+        self._reader = Ros1Reader(path) if ros1 else Ros2Reader(path)
+        self._reader.open()
+        recorded = self._reader.connections
+        self.start_ns = self._reader.start_time
+        self.connections = [
+            Recording(x.topic, x.msgtype, x.msgcount, _offers(x)) for x in recorded
+        ]
+        self.definitions = {x.msgtype: x.msgdef.data for x in recorded}
+
+    def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
+        by_key = {(topic.name, topic.msgtype): topic for topic in topics}
+        wanted = [x for x in self._reader.connections if (x.topic, x.msgtype) in by_key]
+        if wanted:  # none means all to rosbags
+            for connection, stamp_ns, data in self._reader.messages(wanted):
+                topic = by_key[connection.topic, connection.msgtype]
+                yield topic, stamp_ns, data if self.ros1 else _bag_salvage.unpacked(data)
+
+    def close(self) -> None:
+        self._reader.close()
+
+
+class Salvaged:
+    """A file that rosbags cannot open, read from its start to the damage."""
+
+    def __init__(self, path: Path, *, ros1: bool, note: Callable[[Path, Exception], None]) -> None:
+        self.path, self.ros1 = path, ros1
+        self.start_ns = 2**63 - 1
+        self.definitions = {}
+        counts: Counter[tuple[str, str]] = Counter()
+        try:
+            for message in _bag_salvage.scan(path):
+                counts[message.topic, message.msgtype] += 1
+                self.start_ns = min(self.start_ns, message.stamp_ns)
+                self.definitions[message.msgtype] = message.definition
+        except Exception as error:  # noqa: BLE001 - decoders of damaged data raise all kinds
+            note(path, error)
+        self.connections = [Recording(*key, count, []) for key, count in counts.items()]
+
+    def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
+        by_key = {(topic.name, topic.msgtype): topic for topic in topics}
+        for message in _bag_salvage.scan(self.path):
+            topic = by_key.get((message.topic, message.msgtype))
+            if topic:
+                yield topic, message.stamp_ns, message.data
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def _offers(connection: Connection) -> list[TopicQos]:
+    """Return what each recorded publisher of a connection offered."""
+    if isinstance(connection.ext, ConnectionExtRosbag1):
+        return [TopicQos(transient_local=bool(connection.ext.latching))]
+    return [
+        TopicQos(
+            reliable=offer.reliability != QosReliability.BEST_EFFORT,
+            transient_local=offer.durability == QosDurability.TRANSIENT_LOCAL,
+            depth=offer.depth,
+        )
+        for offer in connection.ext.offered_qos_profiles
+    ]

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture pairs of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.errors import BagError, CalibrationError
+from binocular_recon.images import Image
+from binocular_recon.io.bags.reader import Bag, Topic, decode
+from binocular_recon.io.bags.stereo_topics import StereoTopics
+from binocular_recon.io.messages.images import (
+    calibration_content,
+    read_image,
+    rig_from_messages,
+    stamp_ns,
+)
+from binocular_recon.pairing import Synchronizer
+
+# Pictures of one camera that may wait for the other's: recorders mix the cameras' messages.
+_WAITING = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two pictures of the same instant.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Header stamp of the left picture.
+    rig : StereoRig
+        Calibration at that instant; the same object until it changes.
+    left, right : sensor_msgs/Image or sensor_msgs/CompressedImage
+        Decoded when `images` is called.
+
+    """
+
+    stamp_ns: int
+    rig: StereoRig
+    left: Any
+    right: Any
+
+    def images(self) -> tuple[Image, Image]:
+        """Return left and right as grey, BGR or BGRA; raises an ImageError if one is damaged."""
+        return (
+            read_image(self.left, 'left image').image,
+            read_image(self.right, 'right image').image,
+        )
+
+
+class _Arrival(NamedTuple):
+    """A picture, its place in the recording, and the camera infos that preceded it."""
+
+    number: int
+    message: Any
+    infos: tuple[Any, ...]
+
+
+class StereoBag:
+    """The picture pairs of an open bag.
+
+    Parameters
+    ----------
+    bag : Bag
+    topics : StereoTopics
+    rig : StereoRig, optional
+        Calibration that replaces the recorded one; needed if ``topics`` names no camera infos.
+    tolerance_ns : int
+        Largest difference of the stamps of a pair; 0 pairs equal stamps only.
+
+    Attributes
+    ----------
+    expected : int
+        Number of pairs if every picture finds its partner.
+    pictures : int
+        Number of pictures read so far.
+
+    """
+
+    def __init__(
+        self,
+        bag: Bag,
+        topics: StereoTopics,
+        rig: StereoRig | None = None,
+        *,
+        tolerance_ns: int = 0,
+    ) -> None:
+        self._bag, self._rig = bag, rig
+        recorded = {topic.name: topic for topic in bag.topics}
+        self._images = [recorded[name] for name in topics.images]
+        self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
+        self._synchronizer = Synchronizer(
+            topics.images, queue_size=_WAITING, tolerance_ns=tolerance_ns
+        )
+        self.pictures = self._pairs = 0
+        self._ended = False
+        self.expected = min(topic.message_count for topic in self._images)
+
+    @property
+    def unpaired(self) -> int:
+        """Pictures that found no partner; of those that may still find theirs, none."""
+        if self._ended:
+            return self.pictures - 2 * self._pairs
+        return self._synchronizer.dropped.total()
+
+    def __iter__(self) -> Iterator[Pair]:
+        """Yield the pairs in the order of recording; of each camera at most 50 pictures wait.
+
+        Raises
+        ------
+        BagError
+            At the end, if no left and right picture belong together.
+        CalibrationError
+            If the first camera infos hold no calibration.
+
+        """
+        infos = self._first_infos()
+        rig: StereoRig | None = self._rig or rig_from_messages(*infos)
+        for left, right in self._arrivals(infos):
+            self._pairs += 1
+            # of the later picture: by then both cameras' infos have changed
+            latest = max(left, right, key=lambda picture: picture.number).infos
+            if latest is not infos:
+                infos, rig = latest, self._changed_rig(latest)
+            if rig:
+                yield Pair(stamp_ns(left.message.header), rig, left.message, right.message)
+        if not self._pairs:
+            raise BagError(f'{self._bag.path}: {self._complaint()}')
+
+    def _arrivals(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
+        """Yield the pictures that belong together, each with the camera infos that preceded it."""
+        for number, (topic, message) in enumerate(self._decoded([*self._images, *self._infos])):
+            if topic in self._infos:
+                infos = _replaced(infos, self._infos.index(topic), message)
+                continue
+            self.pictures += 1
+            arrival = _Arrival(number, message, infos)
+            yield from self._synchronizer.add(topic.name, stamp_ns(message.header), arrival)
+        yield from self._synchronizer.finish()
+        self._ended = True
+
+    def _complaint(self) -> str:
+        """Say why nothing was paired."""
+        missing = self._synchronizer.explain()
+        if missing is None:
+            return 'only one camera has pictures that can be read'
+        text, needed_s = missing
+        return f'{text}; allow that with --approximate-sync-tolerance-seconds {needed_s:g}'
+
+    def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
+        try:
+            return rig_from_messages(*infos)
+        except CalibrationError as error:
+            self._bag.note(f'pictures are left out while the camera infos do not fit: {error}')
+            return None
+
+    def _first_infos(self) -> tuple[Any, ...]:
+        """Return the first camera info of each side: pictures may have been recorded before."""
+        first: list[Any] = []
+        for info in self._infos:
+            message = next((message for _, message in self._decoded([info])), None)
+            if message is None:
+                raise BagError(f'{self._bag.path}: no {info.name} can be read')
+            first.append(message)
+        return tuple(first)
+
+    def _decoded(self, topics: list[Topic]) -> Iterator[tuple[Topic, Any]]:
+        for message in self._bag.messages(topics):
+            try:
+                yield message.topic, decode(message.topic.msgtype, message.cdr)
+            except BagError as error:  # noqa: PERF203 - one message of many
+                self._bag.note(f'{message.topic.name}: {error}')
+
+
+def _replaced(infos: tuple[Any, ...], side: int, info: Any) -> tuple[Any, ...]:
+    """Return ``infos`` with that of one side replaced, the same object if it says the same."""
+    if calibration_content(info) == calibration_content(infos[side]):
+        return infos
+    return (info, infos[1]) if side == 0 else (infos[0], info)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics of a bag are a stereo rig's."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from binocular_recon.errors import BagError
+from binocular_recon.io.bags.reader import Topic
+
+_IMAGE_TYPES: tuple[str, ...] = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+_INFO_TYPES = ('sensor_msgs/msg/CameraInfo',)
+# Preferred first: our own rectification knows the distortion and the borders of the picture.
+_LAYOUTS = (
+    ('image_raw', 'camera_info', False),
+    ('image_rect', 'camera_info_rect', True),
+    ('image_rect', 'camera_info', True),
+    ('image_rect_color', 'camera_info', True),
+)
+_TRANSPORTS = ('', '/compressed')
+
+
+class StereoTopics(NamedTuple):
+    """Topics of a stereo rig.
+
+    Attributes
+    ----------
+    images : (str, str)
+        Image or CompressedImage of the left and the right camera.
+    infos : (str, str) or None
+        Their CameraInfo; None if the calibration comes from elsewhere.
+    rectified : bool
+        Whether the pictures are rectified already.
+
+    """
+
+    images: tuple[str, str]
+    infos: tuple[str, str] | None
+    rectified: bool
+
+
+def find_stereo_topics(
+    topics: list[Topic], namespace: str | None = None, *, calibrated: bool = False
+) -> StereoTopics:
+    """Find the topics of a stereo rig by their usual names.
+
+    Parameters
+    ----------
+    topics : list of Topic
+        What the bag has.
+    namespace : str, optional
+        Namespace of the rig; needed where the bag has several.
+    calibrated : bool
+        Whether the calibration comes from elsewhere, so that no camera infos are needed.
+
+    Raises
+    ------
+    BagError
+        If there is no rig or more than one.
+
+    """
+    have = {topic.name: topic.msgtype for topic in topics}
+    found = {}
+    for space in sorted(_namespaces(have)):
+        if namespace is None or space.strip('/') == namespace.strip('/'):
+            rig = _rig_in(space, have, calibrated=calibrated)
+            if rig:
+                found[space] = rig
+    if len(found) > 1:
+        raise BagError(
+            f'several stereo rigs are recorded: {", ".join(found)}; choose one with --namespace'
+        )
+    if not found:
+        where = '' if namespace is None else f' in namespace {namespace}'
+        infos = '' if calibrated else ' with their camera_info'
+        remedy = '' if calibrated else ', or give --calibration DIR for the camera_info'
+        raise BagError(
+            f'there is no left/image_raw and right/image_raw (or image_rect){infos}{where};'
+            f' name the topics with --left-image and --right-image{remedy}; {_listed(topics)}'
+        )
+    return next(iter(found.values()))
+
+
+def name_stereo_topics(
+    topics: list[Topic],
+    images: tuple[str, str],
+    infos: tuple[str, str] | None = None,
+    *,
+    rectified: bool | None = None,
+    calibrated: bool = False,
+) -> StereoTopics:
+    """Return the topics that a user has named, checked against the bag.
+
+    Parameters
+    ----------
+    topics : list of Topic
+        What the bag has.
+    images : (str, str)
+        Left and right picture.
+    infos : (str, str), optional
+        Left and right camera info; by default ``camera_info`` beside the pictures.
+    rectified : bool, optional
+        Whether the pictures are rectified; by default if their name says so.
+    calibrated : bool
+        Whether the calibration comes from elsewhere.
+
+    Raises
+    ------
+    BagError
+        If a topic is missing or of another type, or the same is named twice.
+
+    """
+    if images[0] == images[1]:
+        raise BagError(f'{images[0]} is named for both cameras; name the left and the right one')
+    left, right = (image.removesuffix('/compressed').rpartition('/') for image in images)
+    if infos is None:
+        infos = f'{left[0]}/camera_info', f'{right[0]}/camera_info'
+    have = {topic.name: topic.msgtype for topic in topics}
+    wanted = dict.fromkeys(images, _IMAGE_TYPES)
+    if not calibrated:
+        wanted |= dict.fromkeys(infos, _INFO_TYPES)
+    for name, types in wanted.items():
+        if have.get(name) not in types:
+            raise BagError(f'there is no {name} of type {" or ".join(types)}; {_listed(topics)}')
+    if rectified is None:
+        rectified = 'rect' in left[2]
+    return StereoTopics(images, None if calibrated else infos, rectified)
+
+
+def _namespaces(have: dict[str, str]) -> set[str]:
+    """Return what precedes ``left/image...`` in topics, with its last slash."""
+    spaces = (name.rpartition('left/image_') for name in have)
+    return {space for space, found, _ in spaces if found and (not space or space[-1] == '/')}
+
+
+def _rig_in(space: str, have: dict[str, str], *, calibrated: bool) -> StereoTopics | None:
+    for image, info, rectified in _LAYOUTS:
+        infos = f'{space}left/{info}', f'{space}right/{info}'
+        if not calibrated and not all(have.get(name) in _INFO_TYPES for name in infos):
+            continue
+        for transport in _TRANSPORTS:
+            images = f'{space}left/{image}{transport}', f'{space}right/{image}{transport}'
+            if all(have.get(name) in _IMAGE_TYPES for name in images):
+                return StereoTopics(images, None if calibrated else infos, rectified)
+    return None
+
+
+def _listed(topics: list[Topic]) -> str:
+    names = (f'{topic.name} ({topic.msgtype}, {topic.message_count})' for topic in topics)
+    return f'the bag has {", ".join(names)}'

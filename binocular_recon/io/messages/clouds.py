@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PointCloud2 messages."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.io.messages.images import assign_array
+from binocular_recon.stereo.triangulation import Cloud
+
+_FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+
+
+class _Layout(NamedTuple):
+    """Size of a point and the place of its members, in floats of 4 bytes."""
+
+    size: int
+    rgb: int | None
+    sigma_z: int
+
+
+# (colour, padding): x y z come first; padded points are those of PCL and image_pipeline, and
+# sigma_z takes a place that they leave free.
+_LAYOUTS = {
+    (True, True): _Layout(8, 4, 5),
+    (True, False): _Layout(5, 3, 4),
+    (False, True): _Layout(4, None, 3),
+    (False, False): _Layout(4, None, 3),
+}
+
+
+def fill_cloud(
+    message: Any,
+    cloud: Cloud,
+    header: Any,
+    point_field: type[Any],
+    *,
+    colour: npt.NDArray[np.uint8] | None = None,
+    padding: bool = True,
+) -> None:
+    """Fill an organised PointCloud2.
+
+    Parameters
+    ----------
+    message : sensor_msgs/PointCloud2
+        Message to fill.
+    cloud : Cloud
+        Points, metres; NaN = none.
+    header : std_msgs/Header
+        Header of the left picture: the cloud is in its frame.
+    point_field : type
+        sensor_msgs/PointField.
+    colour : (H, W, 3) uint8, optional
+        BGR of each point; without it the cloud has no field ``rgb``.
+    padding : bool
+        Align points to 16 bytes as PCL does; otherwise fields follow each other.
+
+    """
+    height, width = cloud.sigma_z_m.shape
+    layout = _LAYOUTS[colour is not None, padding]
+    points = np.zeros((height, width, layout.size), np.float32)
+    points[..., :3] = cloud.points_xyz
+    points[..., layout.sigma_z] = cloud.sigma_z_m
+    places = {'x': 0, 'y': 1, 'z': 2, 'sigma_z': layout.sigma_z}
+    if colour is not None and layout.rgb is not None:
+        places['rgb'] = layout.rgb
+        blue, green, red = (colour[..., channel].astype(np.uint32) for channel in range(3))
+        points.view(np.uint32)[..., layout.rgb] = red << 16 | green << 8 | blue
+    message.header = header
+    message.height, message.width = height, width
+    message.fields = [
+        point_field(name=name, offset=4 * place, datatype=_FLOAT32, count=1)
+        for name, place in sorted(places.items(), key=lambda item: item[1])
+    ]
+    message.is_bigendian = sys.byteorder == 'big'
+    message.point_step = 4 * layout.size
+    message.row_step = message.point_step * width
+    message.is_dense = bool(np.isfinite(cloud.depth_m).all())
+    assign_array(message, 'data', points)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishers and subscriptions: their QoS, its overrides, and words where it does not fit."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    SubscriptionEventCallbacks,
+    UnsupportedEventTypeError,
+)
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
+from sensor_msgs.msg import CompressedImage
+
+from binocular_recon.errors import ConfigError
+from binocular_recon.nodes.runtime.health import Health
+
+
+@dataclass(frozen=True)
+class Input:
+    """A topic that a node subscribes to.
+
+    Attributes
+    ----------
+    topic : str
+        Relative name.
+    type : type
+        Message type.
+    transported : bool
+        Whether it follows ``image_transport``.
+    optional : bool
+        Whether sets are complete without it while nobody publishes it.
+
+    """
+
+    topic: str
+    type: type[Any]
+    transported: bool = False
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class Output:
+    """A topic that a node publishes.
+
+    Attributes
+    ----------
+    topic : str
+        Relative name.
+    type : type
+        Message type.
+
+    """
+
+    topic: str
+    type: type[Any]
+
+
+def offer(
+    node: Node, one: Output, health: Health, on_match: Callable[[], None]
+) -> tuple[Any, bool]:
+    """Create the publisher of an output: reliable, volatile, keep last 1, unless overridden.
+
+    Returns the publisher, and whether the middleware calls ``on_match`` when a subscriber comes
+    or goes. Raises a ConfigError if an override is not a QoS.
+    """
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+    explain = _explainer(node, one.topic, qos, health, publishes=True)
+    events = PublisherEventCallbacks(incompatible_qos=explain, matched=lambda _event: on_match())
+    create = functools.partial(
+        node.create_publisher,
+        one.type,
+        one.topic,
+        qos,
+        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+    )
+    try:
+        try:
+            return create(event_callbacks=events), True
+        except UnsupportedEventTypeError:
+            events.matched = None
+            return create(event_callbacks=events), False
+    except (InvalidQosOverridesError, RuntimeError) as error:
+        raise ConfigError(f'output {one.topic}: {error}') from error
+
+
+def subscribe(
+    node: Node,
+    one: Input,
+    callback: Callable[[Any], None],
+    health: Health,
+    *,
+    compressed: bool,
+) -> Any:
+    """Create the subscription of an input: sensor data QoS unless overridden.
+
+    Compressed pictures are expected beside the raw ones' name after remapping. Raises a
+    ConfigError if an override is not a QoS.
+    """
+    topic, kind = one.topic, one.type
+    if one.transported and compressed:
+        topic, kind = f'{node.resolve_topic_name(topic)}/compressed', CompressedImage
+    qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    explain = _explainer(node, topic, qos, health, publishes=False)
+    try:
+        return node.create_subscription(
+            kind,
+            topic,
+            callback,
+            qos,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=explain),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+    except (InvalidQosOverridesError, RuntimeError) as error:
+        raise ConfigError(f'input {topic}: {error}') from error
+
+
+def _explainer(
+    node: Node, topic: str, own: QoSProfile, health: Health, *, publishes: bool
+) -> Callable[[Any], None]:
+    """Return an event callback that says in words which other side's QoS does not fit."""
+    name = node.resolve_topic_name(topic)
+    role, other_role = ('publisher', 'subscriber') if publishes else ('subscription', 'publisher')
+
+    def explain(_event: Any) -> None:
+        if publishes:
+            others = node.get_subscriptions_info_by_topic(name)
+        else:
+            others = node.get_publishers_info_by_topic(name)
+        for other in others:
+            offered, requested = (
+                (own, other.qos_profile) if publishes else (other.qos_profile, own)
+            )
+            compatible, reason = qos_check_compatible(offered, requested)
+            if compatible == QoSCompatibility.ERROR:
+                reason = reason.replace('ERROR: ', '').strip().rstrip(';')
+                known = not other.node_name.startswith('_')  # its name may come later
+                who = f'{other_role} {other.node_name}' if known else f'a {other_role}'
+                health.warning(
+                    f'{name}: the QoS of {who} does not fit ({reason}), so no message passes;'
+                    f' change it or set parameter qos_overrides.{name}.{role}.reliability'
+                )
+
+    return explain

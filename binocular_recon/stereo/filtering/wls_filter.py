@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted least squares filter: measured disparities become a dense map (eq. 11-15)."""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from binocular_recon._jit import over_strips
+from binocular_recon.config import FilterConfig
+from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo.filtering import _filter_kernels as kernels
+from binocular_recon.stereo.filtering._wls_solver import System
+from binocular_recon.stereo.holes._hole_kernels import fill_from_nearest, spread_of_gaps
+from binocular_recon.stereo.holes.completion import (
+    COMPLETED_CONFIDENCE,
+    complete,
+    copy_nearest_rows,
+)
+from binocular_recon.stereo.matching.matcher import SIGMA_UNIT_PX
+
+# Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
+LIMIT_MARGIN_PX = 2.0**-10
+# Standard deviation that no disparity falls below.
+LEAST_SIGMA_PX = 0.05
+# Variance of rounding to whole pixels.
+WHOLE_PIXEL_VARIANCE = 1 / 12
+# A pixel without a match: what it may be off by, as a share of the difference between the two
+# ends of its hole, and for each pixel of distance from the nearest match.
+HOLE_SPREAD_SHARE = 0.25
+HOLE_DISTANCE_SHARE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """Dense disparity map with its uncertainty.
+
+    Attributes
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity of every pixel, strictly inside the limits.
+    sigma_px : (H, W) float32
+        One standard deviation of it.
+    iterations : int
+        Iterations of the solver.
+    error_estimate_px : float
+        Estimated largest difference from the exact solution.
+
+    """
+
+    disparity_px: FloatImage
+    sigma_px: FloatImage
+    iterations: int
+    error_estimate_px: float
+
+
+class Equations(NamedTuple):
+    """The normal equations (C + lambda L_g) f = C b of eq. 13.
+
+    Attributes
+    ----------
+    data : (H, W) float32
+        b, without gaps.
+    weight : (H, W) float32
+        c, the diagonal of C.
+    link_x : (H, W - 1) float32
+        lambda a_x between horizontal neighbours.
+    link_y : (H - 1, W) float32
+        lambda a_y between vertical neighbours.
+
+    """
+
+    data: FloatImage
+    weight: FloatImage
+    link_x: FloatImage
+    link_y: FloatImage
+
+
+class DisparityFilter:
+    """Filter frame after frame: the solver's memory, and with ``wls_video`` its start, are kept.
+
+    A frame of another size makes new memory and forgets the last solution. Frames may come from
+    several threads at once.
+
+    Parameters
+    ----------
+    config : FilterConfig
+        Weights and tolerance.
+
+    """
+
+    def __init__(self, config: FilterConfig) -> None:
+        self.config = config
+        self._spare: deque[System] = deque(maxlen=1)
+        self._last: FloatImage | None = None
+
+    def __call__(
+        self,
+        disparity_px: FloatImage,
+        confidence: FloatImage,
+        guide: FloatImage,
+        *,
+        limits_px: tuple[float, float],
+        initial: FloatImage | None = None,
+    ) -> Filtered:
+        """Filter one frame; see `filter_disparity`."""
+        _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
+        measured = _measured(disparity_px, confidence, limits_px)
+        equations = normal_equations(measured, confidence, guide, self.config)
+        system = self._system(*measured.shape)
+        system.assemble(equations.weight, equations.link_x, equations.link_y)
+        guess = self._guess(measured.shape) if initial is None else initial
+        if guess is not None and not np.isfinite(guess).all():
+            guess = None
+        solution = system.solve(equations.data, self.config.wls_tolerance_px, guess)
+        sigma = _sigma(measured, confidence, solution.values)
+        low, high = limits_px
+        margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
+        filtered = np.clip(solution.values, np.float32(low + margin), np.float32(high - margin))
+        self._spare.append(system)
+        self._last = filtered if self.config.wls_video else None
+        return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+
+    def _system(self, rows: int, columns: int) -> System:
+        """Return memory that no other thread uses."""
+        with suppress(IndexError):
+            system = self._spare.pop()
+            if system.shape == (rows, columns):
+                return system
+        return System(rows, columns)
+
+    def _guess(self, shape: tuple[int, ...]) -> FloatImage | None:
+        last = self._last
+        return last if last is not None and last.shape == shape else None
+
+
+def filter_disparity(
+    disparity_px: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage,
+    config: FilterConfig,
+    *,
+    limits_px: tuple[float, float],
+    initial: FloatImage | None = None,
+) -> Filtered:
+    """Denoise a disparity map and fill its holes, preserving the guide's edges.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity x_left - x_right; NaN, infinite or outside ``limits_px`` = none.
+    confidence : (H, W) float32
+        Confidence of the match in [0, 1]; 0 or NaN = none.
+    guide : (H, W) float32
+        Left picture in grey levels of 255; not used if ``config.wls_guide`` is 'disparity'.
+    config : FilterConfig
+        Weights and tolerance.
+    limits_px : (float, float)
+        Smallest and largest disparity searched.
+    initial : (H, W) float32, optional
+        A guess, such as the last frame's result: the solver takes its first step towards it, as
+        far as that is an improvement. The result is within the tolerance of the exact solution
+        whatever the guess. Not used unless finite.
+
+    Returns
+    -------
+    Filtered
+        Disparity and standard deviation of every pixel.
+
+    Raises
+    ------
+    ImageError
+        If the sizes differ or no pixel has a disparity.
+
+    Notes
+    -----
+    Minimises eq. 11; its normal equations (C + lambda L_g) f = C b (eq. 13) are solved to
+    ``config.wls_tolerance_px``. Departures from the paper, each with an option that turns it
+    off: c is the confidence of the match; pixels without a match take part with a small
+    confidence in what lies behind them; the gradient term of eq. 12 grows with steps of the
+    disparity too, since objects often border on a background of the same grey.
+
+    The variance of a pixel is that of its match, plus the scatter of the data around the solution
+    nearby, at least 1/12 px^2 if all data are whole pixels: where the solution follows rounded
+    data their scatter does not show it. Without a match it grows with the difference between the
+    two ends of the hole and with the distance from the nearest match.
+
+    """
+    wls = DisparityFilter(config)
+    return wls(disparity_px, confidence, guide, limits_px=limits_px, initial=initial)
+
+
+def normal_equations(
+    measured_px: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
+) -> Equations:
+    """Return the equations that the filter solves.
+
+    Parameters
+    ----------
+    measured_px : (H, W) float32
+        Raw disparity; NaN = none.
+    confidence, guide : (H, W) float32
+        As for `filter_disparity`.
+    config : FilterConfig
+        Weights.
+
+    """
+    data, weight = _data_term(measured_px, confidence, config)
+    return Equations(data, weight, *_links(data, guide, config))
+
+
+def _measured(
+    disparity_px: FloatImage, confidence: FloatImage, limits_px: tuple[float, float]
+) -> FloatImage:
+    """Return the disparity, NaN where there is none to be used."""
+    low, high = limits_px
+    valid = (disparity_px >= low) & (disparity_px <= high) & (confidence > 0)
+    if not valid.any():
+        raise ImageError(
+            f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
+            ' check that the pictures overlap, are rectified, have texture and are larger than the'
+            ' correlation window, and the disparity range'
+        )
+    return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
+
+
+def _data_term(
+    measured: FloatImage, confidence: FloatImage, config: FilterConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return b without gaps and c of eq. 13."""
+    if not config.wls_use_confidence:
+        return _nearest_in_row(measured), np.ones_like(measured)
+    valid = np.isfinite(measured)
+    weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
+    data, completed = complete(measured, weight, extrapolate=config.wls_extrapolate)
+    return data, completed if config.wls_complete else weight
+
+
+def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
+    """Return the standard deviation of every pixel."""
+    sigma = np.empty_like(measured)
+    over_strips(spread_of_gaps, len(measured), measured, sigma)
+    hole = np.isnan(measured)
+    copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
+    evidence = kernels.Evidence(
+        measured,
+        filtered,
+        np.asarray(confidence, np.float32),
+        distance=cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3),
+        unit=SIGMA_UNIT_PX**2,
+        least=LEAST_SIGMA_PX**2,
+        rounding=WHOLE_PIXEL_VARIANCE if kernels.all_whole(measured) else 0.0,
+        unmatched=SIGMA_UNIT_PX**2 * (1 / COMPLETED_CONFIDENCE - 1),
+        spread_share=HOLE_SPREAD_SHARE,
+        distance_share=HOLE_DISTANCE_SHARE,
+    )
+    over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
+    return sigma
+
+
+def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
+    if disparity_px.ndim != 2 or 0 in disparity_px.shape:
+        raise ImageError(f'disparity must be (rows, columns), got shape {disparity_px.shape}')
+    for name, image in others.items():
+        if image is not None and image.shape != disparity_px.shape:
+            raise ImageError(
+                f'disparity is {disparity_px.shape} and {name} {image.shape} (rows, columns);'
+                ' both must come from the same picture'
+            )
+
+
+def _nearest_in_row(measured: FloatImage) -> FloatImage:
+    """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
+    filled = np.empty_like(measured)
+    over_strips(fill_from_nearest, len(measured), measured, filled)
+    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
+    return filled
+
+
+def _luminance(data: FloatImage, guide: FloatImage, config: FilterConfig) -> FloatImage:
+    """Return the guide's luminance Y in [0, 1], NaN where there is no picture."""
+    if config.wls_guide == 'left':
+        return np.asarray(guide, np.float32) / np.float32(255)
+    low, high = data.min(), data.max()
+    unit_range: FloatImage = (data - low) / max(high - low, np.finfo(np.float32).tiny)
+    return unit_range
+
+
+def _links(
+    data: FloatImage, guide: FloatImage, config: FilterConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
+    luminance = _luminance(data, guide, config)
+    height, width = data.shape
+    link_x = np.empty((height, width - 1), np.float32)
+    link_y = np.empty((height - 1, width), np.float32)
+    options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon
+
+    def fill(start: int, stop: int) -> None:
+        log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
+        kernels.size_of_steps(log, link_x, link_y, start, stop)  # no picture, no edge
+        for link in (link_x[start:stop], link_y[start:stop]):
+            if link.size:  # OpenCV refuses an empty one
+                cv2.pow(link, config.wls_alpha, link)
+        kernels.weigh_links(data, link_x, link_y, options, start, stop)
+
+    over_strips(fill, height)
+    return link_x, link_y

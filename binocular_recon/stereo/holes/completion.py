@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Completion: pixels without a match take the background's disparity."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+
+from binocular_recon._jit import over_strips
+from binocular_recon.images import FloatImage, Mask
+from binocular_recon.stereo.holes._hole_kernels import (
+    fill_strip,
+    mark_unexplained,
+    raise_to_columns,
+)
+
+# Confidence of a completed pixel: a standard deviation of about 1 px (see `matching`).
+COMPLETED_CONFIDENCE = 0.06
+# How much wider than its cause a run of hidden pixels is: windows see a border from afar.
+HIDDEN_SLACK_PX = 8
+# A row's slope is that of so many pixels next to its hole, without those off by more than a
+# tolerance and a steepest slope; then the median of so many rows.
+SLOPE_PX = 30
+SLOPE_TOLERANCE_PX = 1.5
+STEEPEST_SLOPE = 0.08
+SLOPE_ROWS = 61
+
+
+def complete(
+    disparity_px: FloatImage, confidence: FloatImage, *, extrapolate: bool = False
+) -> tuple[FloatImage, FloatImage]:
+    """Complete a disparity map before it is filtered.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Disparity; NaN = none.
+    confidence : (H, W) float32
+        Confidence of each pixel; 0 = none.
+    extrapolate : bool
+        Columns out of sight of the right camera continue the slope of the surface next to them.
+
+    Returns
+    -------
+    disparity_px : (H, W) float32
+        Holes filled from the background along rows and smoothed across them by a median; measured
+        disparities are kept. A run wider than what the step between its ends hides takes the
+        background along the column if that is nearer. All NaN if nothing was measured.
+    confidence : (H, W) float32
+        `COMPLETED_CONFIDENCE` in holes.
+
+    """
+    holes = np.isnan(disparity_px) | ~(confidence > 0)
+    measured = np.where(holes, np.float32(np.nan), disparity_px)
+    filled = fill_from_background(measured)
+    unexplained = unexplained_holes(measured)
+    over_strips(
+        lambda start, stop: raise_to_columns(measured, unexplained, filled, start, stop),
+        filled.shape[1],
+        strip=128,
+    )
+    if np.isnan(filled[0, 0]):
+        return filled, np.zeros_like(confidence)
+    if extrapolate:
+        _extrapolate(measured, filled)
+    smooth = np.where(holes, cv2.medianBlur(filled, 5), filled)
+    return smooth, np.where(holes, np.float32(COMPLETED_CONFIDENCE), confidence)
+
+
+def fill_from_background(disparity_px: FloatImage) -> FloatImage:
+    """Fill holes along rows.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Disparity; NaN = none.
+
+    Returns
+    -------
+    filled_px : (H, W) float32
+        Each run of holes has the smaller disparity of its two ends, at the picture's border that
+        of its only one: what a pair does not see twice lies behind what hides it. A row without
+        any disparity takes the nearest row that has one; all NaN if there is none.
+
+    """
+    filled = np.empty_like(disparity_px)
+    over_strips(lambda start, stop: fill_strip(disparity_px, filled, start, stop), len(filled))
+    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
+    return filled
+
+
+def copy_nearest_rows(image: FloatImage, *, empty: Mask) -> None:
+    """Replace empty rows, in place, by the nearest of the others."""
+    rows, gaps = np.flatnonzero(~empty), np.flatnonzero(empty)
+    if gaps.size and rows.size:
+        image[gaps] = image[rows[np.abs(gaps[:, None] - rows).argmin(axis=1)]]
+
+
+def unexplained_holes(disparity_px: FloatImage) -> Mask:
+    """Return where runs of holes along rows are wider than what hides them.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Disparity; NaN = none.
+
+    Returns
+    -------
+    unexplained : (H, W) bool
+        The right camera does not see as many columns as the disparity rises by from a run's left
+        end to its right end; wider runs, by `HIDDEN_SLACK_PX`, have another cause: most often no
+        texture.
+
+    """
+    unexplained = np.empty(disparity_px.shape, np.bool_)
+    over_strips(
+        lambda start, stop: mark_unexplained(
+            disparity_px, HIDDEN_SLACK_PX, unexplained, start, stop
+        ),
+        len(unexplained),
+    )
+    return unexplained
+
+
+def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
+    """Continue slopes, in place, into the columns left of what the right camera sees.
+
+    The median slope of nearby rows, less as those differ: it vanishes where their spread (1.48
+    times the median deviation, a standard deviation if normal) reaches it.
+    """
+    known = ~np.isnan(measured_px)
+    first = known.argmax(axis=1)
+    start = np.take_along_axis(measured_px, first[:, None], 1)[:, 0]
+    rows = np.flatnonzero((first > 0) & (first <= start + HIDDEN_SLACK_PX))
+    if not rows.size:
+        return
+    slopes = _row_slopes(measured_px[rows], first[rows])
+    slope = median_filter(slopes, SLOPE_ROWS)
+    spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
+    slope *= 1 - np.minimum(spread / np.maximum(np.abs(slope), 1e-6), 1) ** 2
+    low, high = np.nanmin(measured_px), np.nanmax(measured_px)
+    for row, end, value, step in zip(rows, first[rows], start[rows], slope, strict=True):
+        filled_px[row, :end] = np.clip(value + step * np.arange(-end, 0), low, high)
+
+
+def _row_slopes(measured_px: FloatImage, first: npt.NDArray[np.intp]) -> FloatImage:
+    """Return each row's slope in the pixels from ``first`` on; 0 where they are too few."""
+    x = np.arange(SLOPE_PX, dtype=np.float32)
+    columns = first[:, None] + np.arange(SLOPE_PX)
+    inside = columns < measured_px.shape[1]
+    values = np.take_along_axis(measured_px, np.where(inside, columns, first[:, None]), 1)
+    step = values - values[:, :1]
+    used = inside & (np.abs(step) <= SLOPE_TOLERANCE_PX + STEEPEST_SLOPE * x)
+    count = np.count_nonzero(used, axis=1)
+    step = np.where(used, step, 0)
+    mean_x, mean_step = np.where(used, x, 0).sum(1) / count, step.sum(1) / count
+    spread = np.where(used, x * x, 0).sum(1) / count - mean_x**2
+    shared = (step * x).sum(1) / count - mean_x * mean_step
+    slopes = np.where(count >= SLOPE_PX // 2, shared / np.maximum(spread, 1), 0)
+    return slopes.astype(np.float32)

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of semi-global aggregation of NCC costs along paths (Hirschmueller 2008).
+
+A cost is one byte, 0 (score 1) to 252 (score 0 or less); paths add an eighth of it, so that the
+sum over two paths fits a byte. Of sums over three paths beyond 255 only that they are large is
+kept.
+
+Rows pass once, from the top: there is no volume. Blocks of rows are aggregated along both
+directions of the rows, side by side, since each pixel waits for the one before; then row by row
+along the columns. All sums are integers.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from binocular_recon._jit import Array, inline_kernel, kernel
+from binocular_recon._simd import (
+    LANES,
+    add_saturated,
+    first_equal,
+    load,
+    shift_right,
+    smaller,
+    smallest,
+    splat,
+    store,
+)
+from binocular_recon.stereo.matching._cost_kernels import CostSource, new_cost_rows, next_cost_row
+
+EIGHTH = 3  # bits
+SENTINEL = np.uint8(255)  # above every sum that is told apart
+BLOCK = 2  # rows
+WARM_UP = 24
+BACKS = 8  # copies of the right picture's best sums: a store must have ended before the next load
+
+
+class Penalties(NamedTuple):
+    """P1, and P2 (256) by the step of grey level, at most 96."""
+
+    P1: int
+    P2: Array
+
+
+class Decision(NamedTuple):
+    """How winners are chosen (see `MatchConfig`) and where they go, (H, W)."""
+
+    min_disparity: int
+    disp12_max_diff: float
+    uniqueness_ratio: float
+    subpixel: bool
+    disparity: Array
+
+
+class Paths(NamedTuple):
+    """Costs along paths.
+
+    ``costs`` and ``totals`` (BLOCK, W * padded): costs of a block of rows, and their sums over
+    paths. ``down`` (2, W * stride): along the columns, in the row before and in this one, a
+    sentinel before and after each pixel's; ``down_least`` (2, W) their minima. ``across``
+    (BLOCK, 2, 2, stride) and ``across_least`` (BLOCK, 2): the same along the rows in both
+    directions. Zeros are where paths begin.
+    """
+
+    costs: Array
+    totals: Array
+    down: Array
+    down_least: Array
+    across: Array
+    across_least: Array
+    padded: int
+
+
+@kernel
+def _new_paths(width: int, padded: int) -> Paths:
+    stride = padded + 1
+    down = np.zeros((2, width * stride + 1), np.uint8)
+    down[:, ::stride] = SENTINEL
+    across = np.zeros(BLOCK * 4 * stride + 1, np.uint8)
+    across[::stride] = SENTINEL
+    return Paths(
+        np.empty((BLOCK, width * padded), np.uint8),
+        np.empty((BLOCK, width * padded), np.uint8),
+        down,
+        np.zeros((2, width), np.uint8),
+        across,
+        np.zeros((BLOCK, 2), np.uint8),
+        padded,
+    )
+
+
+@inline_kernel
+def _extend(sums: Array, at: int, penalty: Any, limit: Any, least: Any, cost: Any) -> Any:
+    """Return the costs along a path one pixel farther (eq. 13 of Hirschmueller)."""
+    beside = add_saturated(smaller(load(sums, at - 1), load(sums, at + 1)), penalty)
+    return smaller(smaller(load(sums, at), beside), limit) - least + cost
+
+
+@kernel
+def _aggregate_across(
+    paths: Paths, levels: Array, penalties: Penalties, disparities: int, y: int, rows: int
+) -> None:
+    """Set the totals of ``rows`` rows from ``y`` on to the sums over both directions."""
+    width, padded = levels.shape[1], paths.padded
+    stride = padded + 1
+    across, least = paths.across, paths.across_least
+    least[:] = 0
+    for r in range(rows):
+        paths.totals[r, :] = 0
+        if disparities < padded:
+            for x in range(width):
+                paths.totals[r, x * padded + disparities : (x + 1) * padded] = SENTINEL
+        for side in range(2):
+            begin = (r * 2 + side) * 2 * stride + 1
+            across[begin : begin + padded] = 0
+    penalty = splat(np.uint8(penalties.P1))
+    for i in range(width):
+        for r in range(rows):
+            costs, totals = paths.costs[r], paths.totals[r]
+            for side in range(2):
+                x = width - 1 - i if side else i
+                x_before = max(min(x + 1 if side else x - 1, width - 1), 0)
+                step = abs(np.int64(levels[y + r, x]) - np.int64(levels[y + r, x_before]))
+                lowest = least[r, side]
+                limit = splat(np.uint8(lowest + penalties.P2[step]))
+                lows = splat(lowest)
+                next_least = splat(SENTINEL)
+                begin = (r * 2 + side) * 2 * stride + 1
+                before, here = begin + i % 2 * stride, begin + (1 - i % 2) * stride
+                at = x * padded
+                for k in range(0, padded, LANES):
+                    cost = shift_right(load(costs, at + k), EIGHTH)
+                    sums = _extend(across, before + k, penalty, limit, lows, cost)
+                    store(across, here + k, sums)
+                    next_least = smaller(next_least, sums)
+                    store(totals, at + k, add_saturated(load(totals, at + k), sums))
+                least[r, side] = smallest(next_least)
+
+
+@kernel
+def _aggregate_down(
+    paths: Paths, levels: Array, penalties: Penalties, y: int, row: int, total: Array
+) -> None:
+    """Extend the columns' paths to row ``y``, the block's ``row``-th, and add their sums."""
+    width, padded = levels.shape[1], paths.padded
+    stride = padded + 1
+    costs = paths.costs[row]
+    old, new = paths.down[y % 2], paths.down[1 - y % 2]
+    old_least, new_least = paths.down_least[y % 2], paths.down_least[1 - y % 2]
+    penalty = splat(np.uint8(penalties.P1))
+    above = levels[max(y - 1, 0)]
+    for x in range(width):
+        lowest = old_least[x]
+        step = abs(np.int64(levels[y, x]) - np.int64(above[x]))
+        limit = splat(np.uint8(lowest + penalties.P2[step]))
+        lows = splat(lowest)
+        next_least = splat(SENTINEL)
+        for k in range(0, padded, LANES):
+            at = x * padded + k
+            cost = shift_right(load(costs, at), EIGHTH)
+            sums = _extend(old, x * stride + 1 + k, penalty, limit, lows, cost)
+            store(new, x * stride + 1 + k, sums)
+            next_least = smaller(next_least, sums)
+            store(total, at, add_saturated(load(total, at), sums))
+        new_least[x] = smallest(next_least)
+
+
+@kernel
+def match_strip(
+    source: CostSource,
+    levels: Array,
+    penalties: Penalties,
+    decision: Decision,
+    start: int,
+    stop: int,
+) -> None:
+    """Choose the disparities of rows ``start`` to ``stop``."""
+    width = levels.shape[1]
+    first = max(start - WARM_UP, 0)
+    rows = new_cost_rows(source)
+    paths = _new_paths(width, source.padded)
+    scored = np.zeros((BLOCK, width), np.bool_)
+    right_scored = np.zeros((BLOCK, rows.highest.size), np.bool_)
+    best = np.empty((BACKS, width + source.padded), np.uint8)
+    for y in range(first, start):
+        next_cost_row(source, rows, y, first, paths.costs[0])
+        paths.totals[0] = 0
+        _aggregate_down(paths, levels, penalties, y, 0, paths.totals[0])
+    for y in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - y)
+        for r in range(count):
+            has = next_cost_row(source, rows, y + r, first, paths.costs[r])
+            scored[r] = has[:width]
+            right_scored[r] = rows.big.right_norm[2] > 0
+        _aggregate_across(paths, levels, penalties, source.disparities, y, count)
+        for r in range(count):
+            total = paths.totals[r]
+            _aggregate_down(paths, levels, penalties, y + r, r, total)
+            seen = scored[r], right_scored[r]
+            _decide_row(paths.costs[r], total, seen, best, source, decision, y + r)
+
+
+@kernel
+def _decide_row(
+    costs: Array,
+    total: Array,
+    scored: tuple[Array, Array],
+    best: Array,
+    source: CostSource,
+    decision: Decision,
+    y: int,
+) -> None:
+    """Choose the best disparities of a row, of both pictures, and keep those that agree.
+
+    ``scored``: which left pixels (W) and right ones, from right to left, have any score.
+    """
+    left_scored, right_scored = scored
+    width, padded, disparities = left_scored.size, source.padded, source.disparities
+    best[:] = SENTINEL
+    chosen = np.empty(width, np.int64)
+    for x in range(width):
+        here, back = width - 1 - x, best[x % BACKS]
+        lowest = splat(SENTINEL)
+        for k in range(0, padded, LANES):
+            sums = load(total, x * padded + k)
+            lowest = smaller(lowest, sums)
+            store(back, here + k, smaller(sums, load(back, here + k)))
+        least = smallest(lowest)
+        lane, k = LANES, -LANES
+        while lane == LANES:
+            k += LANES
+            lane = first_equal(load(total, x * padded + k), least)
+        chosen[x] = k + lane
+    for copy in range(1, BACKS):
+        for i in range(width + padded):
+            best[0, i] = min(best[0, i], best[copy, i])
+    tolerance = int(np.floor(decision.disp12_max_diff))
+    for x in range(width):
+        at, place = x * padded, chosen[x]
+        there = width - 1 - x + place
+        if not (left_scored[x] and right_scored[there]):
+            continue
+        agrees = tolerance < 0
+        low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
+        for j in range(low, min(high, width - 1 - x) + 1):
+            # the same right pixel, paired with a neighbour of the left one
+            agrees |= total[at + place + j * (padded + 1)] == best[0, there]
+        if not agrees or (
+            decision.uniqueness_ratio > 0
+            and not _is_unique(total, at, place, disparities, decision.uniqueness_ratio)
+        ):
+            continue
+        offset = _offset(costs, total, at + place) if 0 < place < disparities - 1 else 0.0
+        if not decision.subpixel:
+            offset = 0.0
+        decision.disparity[y, x] = decision.min_disparity + place + offset
+
+
+@kernel
+def _is_unique(total: Array, at: int, place: int, disparities: int, ratio: float) -> bool:
+    """Whether the best sum is below all but its neighbours' by the ratio asked for."""
+    second = np.int64(SENTINEL)
+    for k in range(disparities):
+        if abs(k - place) > 1:
+            second = min(second, np.int64(total[at + k]))
+    return bool(second * (100 - ratio) > total[at + place] * 100)
+
+
+@inline_kernel
+def _offset(costs: Array, total: Array, at: int) -> Any:
+    """Return the offset of the best disparity, whose cost is at ``at``, px.
+
+    It is the minimum of the parabola through the pixel's own costs: the sums over paths are
+    pointed by the penalties and would draw it to whole pixels.
+    """
+    best = np.float32(costs[at])
+    before, after = np.float32(costs[at - 1]) - best, np.float32(costs[at + 1]) - best
+    if before < 0 or after < 0 or before + after == 0:
+        best = np.float32(total[at])
+        before, after = np.float32(total[at - 1]) - best, np.float32(total[at + 1]) - best
+        rise = max(before, after)
+        return np.float32(0.5) * (before - after) / rise if rise > 0 else np.float32(0)
+    return np.float32(0.5) * (before - after) / (before + after)

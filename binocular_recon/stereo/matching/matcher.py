@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Matching: rectified rows become disparities by zero-mean NCC (eq. 10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from binocular_recon._jit import over_strips
+from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo.matching import _semi_global
+from binocular_recon.stereo.matching._layout import check_pair, lay_out
+from binocular_recon.stereo.matching._ncc_kernels import Selection, score_strip, select_strip
+from binocular_recon.stereo.matching._refinement_kernels import drop_negative, to_steps
+from binocular_recon.stereo.matching.consensus import agree, carry_over, members
+from binocular_recon.stereo.matching.half_resolution import (
+    fill_from_half,
+    half_config,
+    halve,
+    has_weak_texture,
+)
+from binocular_recon.stereo.matching.refinement import smooth
+
+# Disparities are rounded to this step, `delta_d` of a DisparityImage; without sub-pixel it is 1.
+SUBPIXEL_STEP_PX = 1 / 64
+# The standard deviation whose confidence is one half.
+SIGMA_UNIT_PX = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Measured disparities.
+
+    Attributes
+    ----------
+    disparity_px : (H, W) float32
+        Raw disparity x_left - x_right; NaN = none.
+    confidence : (H, W) float32
+        In [0, 1], 0 where there is no disparity; carries the standard deviation of the
+        disparity, see `sigma_from_confidence`.
+
+    """
+
+    disparity_px: FloatImage
+    confidence: FloatImage
+
+
+def disparity_step_px(config: MatchConfig) -> float:
+    """Return the smallest step between disparities, `delta_d` of a DisparityImage."""
+    return SUBPIXEL_STEP_PX if config.subpixel else 1.0
+
+
+def confidence_from_sigma(sigma_px: FloatImage) -> FloatImage:
+    """Return 1 / (1 + (sigma / SIGMA_UNIT_PX)^2), 0 where sigma is NaN or infinite."""
+    ratio = np.asarray(sigma_px, np.float32) / np.float32(SIGMA_UNIT_PX)
+    confidence: FloatImage = np.reciprocal(1 + ratio * ratio, dtype=np.float32)
+    confidence[np.isnan(confidence)] = 0
+    return confidence
+
+
+def sigma_from_confidence(confidence: FloatImage) -> FloatImage:
+    """Return the standard deviation of the disparity, px; infinite where confidence is 0."""
+    level = np.asarray(confidence, np.float32)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        variance = np.where(level > 0, 1 / level - 1, np.inf).astype(np.float32)
+    sigma: FloatImage = np.float32(SIGMA_UNIT_PX) * np.sqrt(variance)
+    return sigma
+
+
+def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
+    """Match a rectified pair.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Grey levels of 255, any precision; NaN = no data.
+    config : MatchConfig
+        Search range, window and checks.
+
+    Returns
+    -------
+    Match
+        Disparity of each pixel whose match passes every check; none in pictures smaller than the
+        window.
+
+    Raises
+    ------
+    ImageError
+        If the pictures differ in size or are not grey levels of 255.
+
+    Notes
+    -----
+    Eq. 10 with both windows sampled at x - d in the right picture; winner takes all.
+
+    """
+    left, right = check_pair(left, right)
+    measure = _measure_by_consensus if config.consensus else _measure
+    disparity, sigma = measure(left, right, config)
+    confidence = np.empty_like(disparity)
+    low, high = config.limits_px
+
+    def finish(start: int, stop: int) -> None:
+        rows, levels = disparity[start:stop], confidence[start:stop]
+        if config.subpixel:
+            rows /= np.float32(SUBPIXEL_STEP_PX)
+            np.rint(rows, out=rows)
+            rows *= np.float32(SUBPIXEL_STEP_PX)
+        levels[:] = confidence_from_sigma(sigma[start:stop]) if config.subpixel else 1
+        # planes and half resolution may leave the range
+        outside = ~((rows >= low) & (rows <= high))
+        rows[outside], levels[outside] = np.nan, 0
+
+    over_strips(finish, len(disparity))
+    return Match(disparity, confidence)
+
+
+def _measure_by_consensus(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return what matches with several windows, seen from either camera, agree on."""
+    mirrored = right[:, ::-1].copy(), left[:, ::-1].copy()
+    found = []
+    for member in members(config):
+        found.append(_measure(left, right, member))
+        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, member))
+        found.append(carry_over(disparity, sigma))
+    disparity, sigma = agree(*zip(*found, strict=True))
+    return (disparity if config.subpixel else np.rint(disparity)), sigma
+
+
+def _measure(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return the disparity and its standard deviation."""
+    disparity, sigma = _measure_once(left, right, config)
+    if config.half_resolution and has_weak_texture(disparity):
+        half = _measure_once(halve(left), halve(right), half_config(config))
+        fill_from_half(disparity, sigma, *half, config.speckle_size)
+    return disparity, sigma
+
+
+def _measure_once(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, FloatImage]:
+    """Return the disparity and its standard deviation at one resolution."""
+    if min(left.shape) < config.correlation_window_size:
+        nothing = np.full(left.shape, np.nan, np.float32)
+        return nothing, nothing.copy()
+    choose = _semi_global.select_disparities if config.semi_global else _select_local
+    disparity = choose(left, right, config)
+    _drop_speckles(disparity, config)
+    return smooth(disparity, left) if config.subpixel else (disparity, np.zeros_like(disparity))
+
+
+def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
+    """Choose each pixel's best score by itself; NaN = none."""
+    pair, _ = lay_out(left, right, config, 0)
+    disparity = np.full(left.shape, np.nan, np.float32)
+    selection = Selection(
+        config.disparity_range,
+        config.min_disparity,
+        config.disp12_max_diff,
+        config.uniqueness_ratio,
+        config.subpixel,
+    )
+    over_strips(
+        lambda start, stop: select_strip(pair, selection, disparity, start, stop),
+        len(left),
+        strip=48,
+    )
+    return disparity
+
+
+def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
+    """Return the score of every pixel and disparity, for tests and analysis.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        As for `match`.
+    config : MatchConfig
+        Search range, window and texture threshold.
+
+    Returns
+    -------
+    scores : (H, W, disparity_range) float32
+        Eq. 10 in [-1, 1]; NaN where a window leaves a picture, holds a pixel without data or
+        has too little texture.
+
+    Raises
+    ------
+    ImageError
+        As for `match`.
+
+    """
+    left, right = check_pair(left, right)
+    scores = np.full((*left.shape, config.disparity_range), np.nan, np.float32)
+    if min(left.shape) < config.correlation_window_size:
+        return scores
+    pair, _ = lay_out(left, right, config, 0)
+    over_strips(lambda start, stop: score_strip(pair, scores, start, stop), len(left), strip=48)
+    return scores
+
+
+def _drop_speckles(disparity: FloatImage, config: MatchConfig) -> None:
+    """Invalidate connected regions smaller than ``speckle_size``."""
+    if config.speckle_size == 0:
+        return
+    # steps per px such that every disparity fits 16 bits
+    steps = min(16, 32000 // config.disparity_range)
+    whole = np.empty(disparity.shape, np.int16)
+    first = config.min_disparity - 1.0
+    over_strips(
+        lambda start, stop: to_steps(disparity, first, steps, whole, start, stop), len(whole)
+    )
+    cv2.filterSpeckles(whole, -1, config.speckle_size, config.speckle_range * steps)
+    over_strips(lambda start, stop: drop_negative(whole, disparity, start, stop), len(whole))
