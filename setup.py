@@ -39,14 +39,12 @@ setup(
     zip_safe=False,
     entry_points={
         'console_scripts': [
-            f'{node} = {PACKAGE}.nodes.{node}:main'
-            for node in (
-                'calibration_node',
-                'match_node',
-                'play_bag',
-                'rectify_node',
-                'wls_filter_node',
-            )
+            f'binocular-recon = {PACKAGE}.cli.main:main',
+            f'play_bag = {PACKAGE}.cli.play:main',
+            *(
+                f'{node} = {PACKAGE}.nodes.{node}:main'
+                for node in ('calibration_node', 'match_node', 'rectify_node', 'wls_filter_node')
+            ),
         ],
     },
 )

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.cli import play
-from binocular_recon.config import PRESETS, Options
+from binocular_recon.config import PRESETS
+from binocular_recon.options import Options
 
 PAGE = Path(__file__).with_name('nodes.md')
 NODES = {

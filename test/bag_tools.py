@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.io.bags.reader import ros2_types
 from binocular_recon.io.bags.writer import new_message
-from binocular_recon.io.messages.images import fill_camera_info, fill_image
+from binocular_recon.io.messages.camera_infos import fill_camera_info
+from binocular_recon.io.messages.images import fill_image
 
 Image = npt.NDArray[np.uint8]
 # topic, message, time of recording

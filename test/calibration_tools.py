@@ -12,8 +12,9 @@ import numpy as np
 
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.evaluation.calibration.self_check import (
     simulated_boards,
@@ -50,7 +51,7 @@ def truth() -> StereoCalibration:
 @functools.cache
 def solved(placement_m: float = 0.005) -> CalibrationResult:
     """Return a calibration of eleven boards; computed once for all tests."""
-    return solve(captures_of(placement_m), board_of(placement_m), SIZE)
+    return calibrate(captures_of(placement_m), board_of(placement_m), SIZE)
 
 
 def numeric_jacobian(

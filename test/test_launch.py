@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 import yaml
 
-from binocular_recon.config import check_option
 from binocular_recon.errors import ConfigError
+from binocular_recon.options import check_option
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CHAIN = REPOSITORY / 'launch' / 'binocular_recon.launch.py'

@@ -127,7 +127,7 @@ def test_dependencies_are_those_imported() -> None:
     assert keys == set(exec_depends())
 
 
-def test_executables_are_the_modules_with_a_main() -> None:
+def test_executables_are_the_nodes_and_the_command_line() -> None:
     scripts = INSTALLED.entry_points.select(group='console_scripts')
     declared = {script.name: script.value for script in scripts}
     mains = {
@@ -135,7 +135,11 @@ def test_executables_are_the_modules_with_a_main() -> None:
         for path in (PACKAGE / 'nodes').glob('*.py')
         if re.search(r'^def main\(', path.read_text(), re.MULTILINE)
     }
-    assert declared == mains
+    commands = {
+        'binocular-recon': 'binocular_recon.cli.main:main',
+        'play_bag': 'binocular_recon.cli.play:main',
+    }
+    assert declared == mains | commands
 
 
 def test_every_module_states_its_licence() -> None:

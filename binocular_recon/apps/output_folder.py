@@ -17,12 +17,12 @@ from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.drawing.clouds import draw_cloud
 from binocular_recon.drawing.colormap import heat_map
-from binocular_recon.evaluation.timing import machine_facts
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
 from binocular_recon.io.ply import write_ply
+from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
 
 _ENDINGS = ('_disparity.pfm', '_disparity.png', '.ply', '_cloud.png')

@@ -25,7 +25,7 @@ from binocular_recon.stereo.pipeline import Chain
 
 
 @dataclass(frozen=True)
-class Input:
+class BagInput:
     """Which pairs of which bag.
 
     Attributes
@@ -65,12 +65,12 @@ class Input:
     pictures: bool = False
 
 
-def reconstruct_bag(source: Input, output: Path, preset: str, config: ChainConfig) -> str:
+def reconstruct_bag(source: BagInput, output: Path, preset: str, config: ChainConfig) -> str:
     """Reconstruct the pairs of a bag; each frame's files are written when it is finished.
 
     Parameters
     ----------
-    source : Input
+    source : BagInput
     output : Path
         Folder for the results.
     preset : str
@@ -116,7 +116,7 @@ def reconstruct_bag(source: Input, output: Path, preset: str, config: ChainConfi
     return sentence
 
 
-def _topics(bag: Bag, source: Input) -> StereoTopics:
+def _topics(bag: Bag, source: BagInput) -> StereoTopics:
     calibrated = source.calibration is not None
     if source.images is None:
         return find_stereo_topics(bag.topics, source.namespace, calibrated=calibrated)
@@ -130,7 +130,12 @@ def _topics(bag: Bag, source: Input) -> StereoTopics:
 
 
 def _reconstruct(
-    stereo: StereoBag, source: Input, results: ResultFolder, config: ChainConfig, *, rectify: bool
+    stereo: StereoBag,
+    source: BagInput,
+    results: ResultFolder,
+    config: ChainConfig,
+    *,
+    rectify: bool,
 ) -> None:
     chain, rig = None, None
     count = -(-stereo.expected // source.every)

@@ -1,2 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of a long-baseline rig from rods in the scene."""
+"""Calibration of a long-baseline rig from rods in the scene (section 2 of the paper).
+
+`solve` is the calibration on one page. It takes marks (`target`), found in images by
+`detection`, through `adjustment` (planar calibration, bundle adjustment, uncertainty) and
+`rectification` (polar-line correction). `model` is what is estimated and `result` what comes
+out; `screening` decides which boards can be used, `verdict` whether the result may be relied on,
+and `advice` which board to add. `report` shows a result and `session` keeps captures and results
+on disk. Exports what a program needs to calibrate.
+"""
+
+from typing import TYPE_CHECKING
+
+from binocular_recon._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from binocular_recon.calibration.adjustment.estimation import Estimate
+    from binocular_recon.calibration.detection.detect import Detection, detect_rods
+    from binocular_recon.calibration.model import StereoCalibration
+    from binocular_recon.calibration.result import CalibrationResult
+    from binocular_recon.calibration.screening import Rejected
+    from binocular_recon.calibration.session.calibration_files import save_calibration
+    from binocular_recon.calibration.session.captures import read_captures
+    from binocular_recon.calibration.solve import calibrate
+    from binocular_recon.calibration.target.capture import Capture
+    from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
+    from binocular_recon.calibration.target.target import Target
+
+__all__ = [
+    'CalibrationResult',
+    'Capture',
+    'Detection',
+    'Estimate',
+    'Rejected',
+    'RodBoard',
+    'StereoCalibration',
+    'Target',
+    'calibrate',
+    'detect_rods',
+    'load_rods',
+    'read_captures',
+    'save_calibration',
+    'save_rods',
+]
+
+__getattr__ = lazy_exports(__name__, __file__)

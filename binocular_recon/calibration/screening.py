@@ -11,7 +11,8 @@ import numpy as np
 
 from binocular_recon.calibration.adjustment.planar import MIN_MARKS, first_guess
 from binocular_recon.calibration.target.board_plane import fit_camera, project
-from binocular_recon.calibration.target.rods import Capture, row_of
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import row_of
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError

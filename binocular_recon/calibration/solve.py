@@ -36,7 +36,8 @@ from binocular_recon.calibration.screening import (
     observations,
     usable_boards,
 )
-from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
 from binocular_recon.camera import FloatArray
@@ -48,7 +49,7 @@ FIRST_SIGMA_PX = 0.3
 Progress = Callable[[str], None]
 
 
-def solve(
+def calibrate(
     captures: Sequence[Capture],
     target: RodBoard | Target,
     image_size: tuple[int, int],

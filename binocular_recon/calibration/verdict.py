@@ -8,7 +8,7 @@ import numpy as np
 from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import linearise, marks_in_left
 from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
-from binocular_recon.calibration.rectification.homography import Picture
+from binocular_recon.calibration.rectification.homography import ImageGrid
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.errors import CalibrationError
@@ -63,7 +63,7 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
         )
     warnings += _misplaced_marks(found) + _rarely_found(found)
     for side in ('left', 'right'):
-        unusable = 1 - Picture.of(found.state.calibration, side).usable_share
+        unusable = 1 - ImageGrid.of(found.state.calibration, side).usable_share
         if unusable > 0:
             warnings.append(
                 f'lens distortion of the {side} camera is not known in {unusable:.0%} of its'

@@ -11,7 +11,6 @@ from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import positive, preset_names
 from binocular_recon.config import PRESETS
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.accuracy.summary import figure, markdown_table, to_plain
 from binocular_recon.evaluation.speed.benchmark import (
     SIZES,
     STAGES,
@@ -21,8 +20,9 @@ from binocular_recon.evaluation.speed.benchmark import (
     step_count,
 )
 from binocular_recon.evaluation.speed.stages import Size
-from binocular_recon.evaluation.timing import machine_facts
+from binocular_recon.evaluation.tables import figure, markdown_table, to_plain
 from binocular_recon.io.files import make_folder, write_json
+from binocular_recon.machine import machine_facts
 
 NO_XIMGPROC = (
     'This OpenCV has no ximgproc: its WLS filter and the chain with it are absent. It is part of'

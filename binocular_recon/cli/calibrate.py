@@ -16,14 +16,15 @@ from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.session.calibration_files import save_calibration
 from binocular_recon.calibration.session.captures import BoardReading, find_boards, read_captures
 from binocular_recon.calibration.session.points_csv import read_points
-from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target.rods import Capture, RodBoard, load_rods
+from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.cli.options import positive
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
-from binocular_recon.evaluation.timing import peak_bytes
 from binocular_recon.io.files import make_folder, write_json
+from binocular_recon.machine import peak_bytes
 
 _Result = TypeVar('_Result')
 
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> None:
     _check(args)
     marks_of = _marks_of_points if args.points else _marks_of_pictures
     (captures, target, size, rejected), marks_s = _timed(lambda: marks_of(args))
-    result, solve_s = _timed(lambda: solve(captures, target, size, rejected=rejected))
+    result, solve_s = _timed(lambda: calibrate(captures, target, size, rejected=rejected))
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
     print(summary(result))
     print(', '.join(str(path) for path in files))

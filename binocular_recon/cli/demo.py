@@ -36,10 +36,10 @@ def run(args: argparse.Namespace) -> None:
         If the bag is not there or the results cannot be written.
 
     """
-    from binocular_recon.apps.reconstruct_bag import Input, reconstruct_bag
+    from binocular_recon.apps.reconstruct_bag import BagInput, reconstruct_bag
 
     bags = _bags()
-    source = Input(bag=bags / 'motorcycle', pictures=True)
+    source = BagInput(bag=bags / 'motorcycle', pictures=True)
     print('Scene Motorcycle of the Middlebury stereo datasets, 2 to 6 m away, f 999 px, b 0.193 m')
     print(reconstruct_bag(source, args.output, args.preset, chain_config(args)))
     print(_accuracy(args.output, bags / 'motorcycle_truth' / 'disparity.png'))

@@ -33,8 +33,9 @@ from binocular_recon.evaluation.accuracy.scoring import (
     SceneScores,
     evaluate_scene,
 )
-from binocular_recon.evaluation.timing import machine_facts
+from binocular_recon.evaluation.tables import to_plain
 from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.machine import machine_facts
 
 HOW_MEASURED = (
     'A pixel is bad if its error exceeds the limit or if it is unfilled; in the mean error an'
@@ -173,7 +174,7 @@ def _report(args: argparse.Namespace, findings: Findings, asked: int) -> None:
         'crop': findings.crop,
         'failures': failures,
     }
-    write_json(args.output / 'evaluation.json', summary.to_plain(facts))
+    write_json(args.output / 'evaluation.json', to_plain(facts))
     page = report.page('Evaluation', notes, tables, findings.sections)
     with complete_file(args.output / 'evaluation.html') as file:
         file.write(page.encode())

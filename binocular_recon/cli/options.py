@@ -9,8 +9,9 @@ import math
 from collections.abc import Callable, Collection
 from typing import Any
 
-from binocular_recon.config import PRESETS, ChainConfig, OptionValue, check_option
+from binocular_recon.config import PRESETS, ChainConfig
 from binocular_recon.errors import ConfigError
+from binocular_recon.options import OptionValue, check_option
 
 
 def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:

@@ -12,21 +12,21 @@ from typing import Any
 from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import non_negative, positive
 from binocular_recon.errors import CalibrationError
-from binocular_recon.evaluation.accuracy.summary import to_plain
 from binocular_recon.evaluation.paper.drawing import draw_crop, draw_sizes
-from binocular_recon.evaluation.paper.sites import (
+from binocular_recon.evaluation.paper.runs import (
     BOARDS,
     MARK_NOISE_PX,
-    PICKS,
     FailedRun,
     PaperRun,
     Survey,
     run_paper,
 )
+from binocular_recon.evaluation.paper.site import PICKS
 from binocular_recon.evaluation.paper.tables import mean_of_three_mm, report
-from binocular_recon.evaluation.timing import machine_facts
+from binocular_recon.evaluation.tables import to_plain
 from binocular_recon.io.files import complete_file, make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
+from binocular_recon.machine import machine_facts
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
 
 # How exactly rods stand, one standard deviation, m.

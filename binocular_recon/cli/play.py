@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import sys
 from pathlib import Path
 
 from binocular_recon.cli.options import positive
@@ -73,3 +74,10 @@ def run(args: argparse.Namespace) -> None:
         delay_s=args.delay,
         ros_args=args.ros_args,
     )
+
+
+def main() -> int:
+    """Run as the executable ``play_bag``."""
+    from binocular_recon.cli.main import main as run_command
+
+    return run_command(['play', *sys.argv[1:]])

@@ -96,9 +96,9 @@ def run(args: argparse.Namespace) -> None:
         something could not.
 
     """
-    from binocular_recon.apps.reconstruct_bag import Input, reconstruct_bag
+    from binocular_recon.apps.reconstruct_bag import BagInput, reconstruct_bag
 
-    source = Input(
+    source = BagInput(
         bag=args.bag,
         namespace=args.namespace,
         images=_both(args, 'image'),

@@ -22,7 +22,7 @@ _CUT_PERCENT = 1.0
 
 
 @dataclass(frozen=True)
-class View:
+class CloudView:
     """From where a cloud is seen.
 
     Attributes
@@ -42,7 +42,7 @@ class View:
 
 
 def draw_cloud(
-    points_xyz: FloatImage, bgr: ByteImage, size: tuple[int, int], view: View | None = None
+    points_xyz: FloatImage, bgr: ByteImage, size: tuple[int, int], view: CloudView | None = None
 ) -> ByteImage:
     """Draw the points of a cloud as squares that hide each other, the whole cloud in sight.
 
@@ -54,7 +54,7 @@ def draw_cloud(
         Colour of the points.
     size : (int, int)
         Width and height of the picture.
-    view : View, optional
+    view : CloudView, optional
         From where.
 
     Returns
@@ -68,7 +68,7 @@ def draw_cloud(
     drawn = np.isfinite(points_xyz).all(axis=-1) & ~_borders(points_xyz[..., 2])
     if drawn.any():
         points, colours = points_xyz[drawn], bgr[drawn]
-        seen = _turned(points, view or View())
+        seen = _turned(points, view or CloudView())
         in_front = seen[:, 2] > 0.05 * np.median(seen[:, 2])
         points, seen, colours = points[in_front], seen[in_front], colours[in_front]
         x, y, focal = _fitted(seen, width, height)
@@ -93,7 +93,7 @@ def _pixel_angle(points_xyz: FloatImage) -> float:
     return float(np.nanmedian(np.diff(directions, axis=1)))
 
 
-def _turned(points: FloatImage, view: View) -> FloatImage:
+def _turned(points: FloatImage, view: CloudView) -> FloatImage:
     """Return points in the frame of the view: x right, y down, z forward."""
     middle = np.median(points, axis=0)
     yaw, pitch = np.radians([view.yaw_deg, view.pitch_deg])

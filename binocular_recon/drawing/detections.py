@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Protocol
+
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from binocular_recon.calibration.detection.detect import Detection
 from binocular_recon.images import ByteImage
 
 _FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
@@ -14,8 +17,24 @@ _FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
 _MARK_SHARE, _TEXT_SHARE = 1 / 120, 1 / 30
 
 
+class DetectedMarks(Protocol):
+    """The marks of a board in one image, such as `calibration.Detection`."""
+
+    @property
+    def marks_px(self) -> npt.NDArray[np.float64]:
+        """Positions, (R, M, 2) px; NaN = not found."""
+
+    @property
+    def found(self) -> npt.NDArray[np.bool_]:
+        """Whether each mark was found, (R, M)."""
+
+    @property
+    def messages(self) -> Sequence[str]:
+        """What is missing, in words."""
+
+
 def draw_detections(
-    pictures: tuple[ByteImage, ByteImage], found: tuple[Detection, Detection]
+    pictures: tuple[ByteImage, ByteImage], found: tuple[DetectedMarks, DetectedMarks]
 ) -> ByteImage:
     """Draw the marks of both pictures, side by side.
 
@@ -23,7 +42,7 @@ def draw_detections(
     ----------
     pictures : pair of (H, W, 3) uint8
         Left and right, BGR.
-    found : pair of Detection
+    found : pair of DetectedMarks
         What was found in them.
 
     Returns
@@ -36,7 +55,7 @@ def draw_detections(
     return np.hstack([_drawn(*side) for side in zip(pictures, found, strict=True)])
 
 
-def _drawn(picture: ByteImage, detection: Detection) -> ByteImage:
+def _drawn(picture: ByteImage, detection: DetectedMarks) -> ByteImage:
     image = picture.copy()
     height = image.shape[0]
     radius, scale = max(2, round(height * _MARK_SHARE)), height * _TEXT_SHARE / 30

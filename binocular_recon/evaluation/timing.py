@@ -4,19 +4,10 @@
 from __future__ import annotations
 
 import math
-import platform
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
-import cv2
-import numba
 import numpy as np
-import scipy
-
-from binocular_recon import __version__
-from binocular_recon._jit import thread_count
 
 # Rounds that are timed however long they take.
 LEAST_ROUNDS = 3
@@ -53,45 +44,3 @@ def interleaved(
             if turn >= warm_up:
                 seconds[name].append(time.perf_counter() - start)
     return {name: float(np.median(values)) for name, values in seconds.items()}
-
-
-def peak_bytes() -> int | None:
-    """Return the largest memory this process had so far, None where the system does not tell.
-
-    Not from getrusage: its ru_maxrss starts at the parent's peak when a child is started by vfork.
-    """
-    try:
-        status = Path('/proc/self/status').read_text(encoding='ascii')
-    except OSError:
-        return None
-    peaks = (line.split()[1] for line in status.splitlines() if line.startswith('VmHWM:'))
-    return next((1024 * int(peak) for peak in peaks), None)
-
-
-def machine_facts() -> dict[str, Any]:
-    """Return what a timing depends on: processor, cores, versions."""
-    return {
-        'processor': _processor(),
-        'cores': thread_count(),
-        'opencv_threads': cv2.getNumThreads(),
-        'ximgproc': hasattr(cv2, 'ximgproc'),
-        'versions': {
-            'binocular_recon': __version__,
-            'python': platform.python_version(),
-            'numpy': np.__version__,
-            'scipy': scipy.__version__,
-            'numba': numba.__version__,
-            'opencv': cv2.__version__,
-        },
-    }
-
-
-def _processor() -> str:
-    try:
-        with Path('/proc/cpuinfo').open(encoding='utf-8') as file:
-            for line in file:
-                if line.startswith('model name'):
-                    return line.partition(':')[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -1,2 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files, bags and messages to arrays and back."""
+"""Files, bags and messages to arrays and back.
+
+Modules here are files: calibration YAML, images, PFM, PNG, PLY; `files` writes them so that they
+are complete or absent. `bags` reads and writes recordings, `messages` converts ROS messages
+without ROS. Only `bags` imports rosbags.
+"""
+
+from typing import TYPE_CHECKING
+
+from binocular_recon._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from binocular_recon.io.calibration_yaml import read_camera, read_rig, write_camera, write_rig
+    from binocular_recon.io.disparity_png import read_disparity_png, write_disparity_png
+    from binocular_recon.io.image_files import read_image_file, write_image_file
+    from binocular_recon.io.pfm import read_pfm, write_pfm
+    from binocular_recon.io.ply import write_ply
+
+__all__ = [
+    'read_camera',
+    'read_disparity_png',
+    'read_image_file',
+    'read_pfm',
+    'read_rig',
+    'write_camera',
+    'write_disparity_png',
+    'write_image_file',
+    'write_pfm',
+    'write_ply',
+    'write_rig',
+]
+
+__getattr__ = lazy_exports(__name__, __file__)

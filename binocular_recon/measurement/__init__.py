@@ -1,2 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Placeholder."""
+"""Sizes of things in a reconstructed cloud.
+
+`ruler` measures heights and distances between picked pixels, `robust_fits` fits lines and planes
+to data of which a part belongs to something else.
+"""
+
+from typing import TYPE_CHECKING
+
+from binocular_recon._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from binocular_recon.measurement.robust_fits import consensus_fit, refined_fit
+    from binocular_recon.measurement.ruler import Ruler, VerticalPlane
+
+__all__ = [
+    'Ruler',
+    'VerticalPlane',
+    'consensus_fit',
+    'refined_fit',
+]
+
+__getattr__ = lazy_exports(__name__, __file__)

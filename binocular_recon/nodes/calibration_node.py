@@ -22,21 +22,17 @@ from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.screening import complaint
 from binocular_recon.calibration.session.calibration_files import finish_saving, save_calibration
 from binocular_recon.calibration.session.capture_store import CaptureStore
-from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target.rods import Capture, load_rods
+from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import load_rods
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import Camera
-from binocular_recon.config import Options, option
 from binocular_recon.drawing.detections import draw_detections
-from binocular_recon.errors import (
-    BinocularReconError,
-    CalibrationError,
-    ConfigError,
-    ImageError,
-)
+from binocular_recon.errors import BinocularReconError, CalibrationError, ConfigError, ImageError
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
+from binocular_recon.io.messages.camera_infos import fill_camera_info
+from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.calibration_steps import (
     Alone,
     check_still,
@@ -47,11 +43,12 @@ from binocular_recon.nodes.calibration_steps import (
     size_words,
     summary,
 )
-from binocular_recon.nodes.newest_pair import NewestPair, Pair
+from binocular_recon.nodes.newest_pair import ImagePair, NewestPair
 from binocular_recon.nodes.runtime.base_node import StereoNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.options import Options, option
 
 # How long a capture waits for a second pair, to see whether everything stands still.
 _STILL_WITHIN_S = 1.0
@@ -212,7 +209,9 @@ class CalibrationNode(StereoNode):
             begun_s = time.monotonic()
             with Alone(self._storing):
                 found = self._store.captures()
-            result = solve(found.captures, self._board, found.image_size, rejected=found.rejected)
+            result = calibrate(
+                found.captures, self._board, found.image_size, rejected=found.rejected
+            )
             self._result = result
             self.health.state('calibration', f'{len(result.names)} boards, not saved yet')
             return f'{summary(result)}; {time.monotonic() - begun_s:.0f} s; save it'
@@ -248,7 +247,7 @@ class CalibrationNode(StereoNode):
             return f'no messages on {", ".join(topics)}'
         return self.explain_missing_sets() if silent else ''
 
-    def _show(self, job: tuple[Pair, Header]) -> None:
+    def _show(self, job: tuple[ImagePair, Header]) -> None:
         """Publish a pair with what is found in it, in the preview's thread."""
         pair, header = job
         try:
@@ -281,7 +280,7 @@ class CalibrationNode(StereoNode):
         return f'{service} {"took it" if answer.success else "refused"}{words}'
 
 
-def _read_pair(left: Image, right: Image) -> Pair:
+def _read_pair(left: Image, right: Image) -> ImagePair:
     pictures = [
         read_image(message, f'{side} image').image
         for message, side in ((left, 'left'), (right, 'right'))
@@ -289,7 +288,7 @@ def _read_pair(left: Image, right: Image) -> Pair:
     sizes = [f'{picture.shape[1]}x{picture.shape[0]}' for picture in pictures]
     if sizes[0] != sizes[1]:
         raise ImageError(f'left image is {sizes[0]}, right {sizes[1]} px; set both alike')
-    return Pair(pictures[0], pictures[1])
+    return ImagePair(pictures[0], pictures[1])
 
 
 def main() -> int:

@@ -11,10 +11,11 @@ import numpy as np
 from binocular_recon.calibration.detection.detect import Detection, detect_rods
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.screening import displacement_px
-from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError
-from binocular_recon.nodes.newest_pair import Pair
+from binocular_recon.nodes.newest_pair import ImagePair
 from binocular_recon.stereo.rectification import rectified_points
 
 # Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
@@ -67,7 +68,7 @@ def summary(result: CalibrationResult) -> str:
     )
 
 
-def detect_pair(pair: Pair, board: RodBoard) -> tuple[Detection, Detection]:
+def detect_pair(pair: ImagePair, board: RodBoard) -> tuple[Detection, Detection]:
     """Find the rods in both pictures."""
     left, right = (
         detect_rods(image[..., :3] if image.ndim == 3 else image, board)
@@ -76,7 +77,9 @@ def detect_pair(pair: Pair, board: RodBoard) -> tuple[Detection, Detection]:
     return left, right
 
 
-def check_still(pair: Pair, capture: Capture, later: Pair | None, board: RodBoard) -> str:
+def check_still(
+    pair: ImagePair, capture: Capture, later: ImagePair | None, board: RodBoard
+) -> str:
     """Compare the marks of a capture with those of a later pair, None if none came.
 
     Returns

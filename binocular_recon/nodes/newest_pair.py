@@ -13,7 +13,7 @@ from binocular_recon.images import Image
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class ImagePair:
     """Two pictures (H, W) or (H, W, C) of one size, taken together."""
 
     left: Image
@@ -30,12 +30,12 @@ class NewestPair:
     """Holds the newest pair; any thread may call."""
 
     def __init__(self) -> None:
-        self._pair: Pair | None = None
-        self._captured: Pair | None = None
+        self._pair: ImagePair | None = None
+        self._captured: ImagePair | None = None
         self._problem = ''
         self._changed = threading.Condition()
 
-    def put(self, pair: Pair) -> None:
+    def put(self, pair: ImagePair) -> None:
         """Take a pair in place of the one before."""
         self._replace(pair, '')
 
@@ -43,11 +43,11 @@ class NewestPair:
         """Say why the newest pair cannot be used, which makes the one before outdated."""
         self._replace(None, problem)
 
-    def captured(self, pair: Pair | None) -> None:
+    def captured(self, pair: ImagePair | None) -> None:
         """Let `fresh` refuse this pair from now on; None: none."""
         self._captured = pair
 
-    def fresh(self, silence: Callable[[], str]) -> Pair:
+    def fresh(self, silence: Callable[[], str]) -> ImagePair:
         """Return the newest pair.
 
         Parameters
@@ -82,13 +82,13 @@ class NewestPair:
             )
         return pair
 
-    def after(self, pair: Pair, timeout_s: float) -> Pair | None:
+    def after(self, pair: ImagePair, timeout_s: float) -> ImagePair | None:
         """Return the newest pair once it is another one than ``pair``; None if none comes."""
         with self._changed:
             self._changed.wait_for(lambda: self._pair not in (pair, None), timeout_s)
             return self._pair if self._pair is not pair else None
 
-    def _replace(self, pair: Pair | None, problem: str) -> None:
+    def _replace(self, pair: ImagePair | None, problem: str) -> None:
         with self._changed:
             self._pair, self._problem = pair, problem
             self._changed.notify_all()

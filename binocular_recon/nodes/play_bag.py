@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib
 import itertools
 import signal
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -260,10 +259,3 @@ def _qos_profile(topic: Topic) -> QoSProfile:
             DurabilityPolicy.TRANSIENT_LOCAL if qos.transient_local else DurabilityPolicy.VOLATILE
         ),
     )
-
-
-def main() -> int:
-    """Run as a node: the command ``play``."""
-    from binocular_recon.cli.main import main as run_command
-
-    return run_command(['play', *sys.argv[1:]])

@@ -10,7 +10,8 @@ from std_msgs.msg import Header
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
+from binocular_recon.io.messages.camera_infos import fill_camera_info
+from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.base_node import StereoNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.options import CalibrationOptions, InputOptions, RectifyOptions

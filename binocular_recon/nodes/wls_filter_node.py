@@ -15,9 +15,10 @@ from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, to_bgr8, to_grey
 from binocular_recon.images import Image as Picture
+from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
-from binocular_recon.io.messages.images import fill_camera_info, fill_image, read_image
+from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.base_node import StereoNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.options import (

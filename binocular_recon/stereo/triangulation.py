@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from binocular_recon._jit import kernel, over_strips
-from binocular_recon.camera import FloatArray, StereoRig
+from binocular_recon._jit import over_strips
+from binocular_recon.camera import StereoRig
 from binocular_recon.config import CloudConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo._triangulation_kernels import triangulate_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ def triangulate(
     points_xyz = np.empty((*size, 3), np.float32)
     sigma_z_m = np.empty(size, np.float32)
     over_strips(
-        _triangulate_rows,
+        triangulate_rows,
         size[0],
         np.ascontiguousarray(disparity_px, np.float32),
         np.ascontiguousarray(sigma_px, np.float32),
@@ -91,34 +92,3 @@ def triangulate(
         sigma_z_m,
     )
     return Cloud(points_xyz, sigma_z_m)
-
-
-@kernel
-def _triangulate_rows(
-    disparity_px: FloatImage,
-    sigma_px: FloatImage,
-    projection: FloatArray,
-    focal_baseline: float,
-    offset_px: float,
-    depth_range_m: tuple[float, float],
-    points_xyz: FloatImage,
-    sigma_z_m: FloatImage,
-    start: int,
-    stop: int,
-) -> None:
-    near, far = depth_range_m
-    fx, cx, tx = projection[0, 0], projection[0, 2], projection[0, 3]
-    fy, cy = projection[1, 1], projection[1, 2]
-    for row in range(start, stop):
-        y_over_z = (row - cy) / fy
-        for column in range(disparity_px.shape[1]):
-            z = focal_baseline / (disparity_px[row, column] - offset_px)  # eq. 18
-            # written so that NaN, infinity and what lies behind the rig fail
-            if z > 0 and near <= z <= far:
-                points_xyz[row, column, 0] = ((column - cx) * z - tx) / fx
-                points_xyz[row, column, 1] = y_over_z * z
-                points_xyz[row, column, 2] = z
-                sigma_z_m[row, column] = z * z / focal_baseline * sigma_px[row, column]
-            else:
-                points_xyz[row, column, :] = np.nan
-                sigma_z_m[row, column] = np.nan

@@ -12,7 +12,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.io.messages.images import fill_camera_info, fill_image
+from binocular_recon.io.messages.camera_infos import fill_camera_info
+from binocular_recon.io.messages.images import fill_image
 
 WIDTH, HEIGHT = 160, 120
 FRAME_NS = 100_000_000

@@ -20,8 +20,9 @@ from binocular_recon.images import to_bgr8
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.bags.stereo_bag import StereoBag
 from binocular_recon.io.bags.stereo_topics import find_stereo_topics
+from binocular_recon.io.messages.camera_infos import camera_from_message
 from binocular_recon.io.messages.disparities import read_disparity
-from binocular_recon.io.messages.images import camera_from_message, read_image, stamp_ns
+from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.matching.matcher import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from test import bag_tools

@@ -12,7 +12,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 
 from binocular_recon.io.calibration_yaml import write_rig
-from binocular_recon.io.messages.images import camera_from_message, read_image, stamp_ns
+from binocular_recon.io.messages.camera_infos import camera_from_message
+from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.rectification import Rectifier
 from test.system.conftest import StartNode
 from test.system.graph import Graph, wait_until

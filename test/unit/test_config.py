@@ -7,8 +7,9 @@ import dataclasses
 
 import pytest
 
-from binocular_recon.config import PRESETS, ChainConfig, MatchConfig, OptionValue
+from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.errors import ConfigError
+from binocular_recon.options import OptionValue
 
 
 def test_explicit_value_wins_over_the_preset() -> None:

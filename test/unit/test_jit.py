@@ -6,6 +6,8 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +17,7 @@ import pytest
 
 from binocular_recon import _jit
 
+NO_CACHES = shutil.ignore_patterns('__pycache__')
 INNER = """
 from binocular_recon._jit import kernel
 @kernel
@@ -57,6 +60,40 @@ def test_a_kernel_is_compiled_again_if_one_that_it_calls_changes(
         hits.append(sum(kernel.stats.cache_hits.values()))
     assert found == [1, 22, 22]
     assert hits == [0, 0, 1]
+
+
+CROSSING = """
+from binocular_recon._jit import kernel
+from binocular_recon.stereo.holes._probe_kernels import inner
+@kernel
+def outer(): return inner()
+"""
+RUN = """
+from binocular_recon.calibration._crossing_kernels import outer
+print(outer(), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_a_kernel_is_compiled_again_if_one_of_another_folder_changes(tmp_path: Path) -> None:
+    """In a copy of the package, by new processes that share one cache."""
+    package = tmp_path / 'binocular_recon'
+    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
+    (package / 'calibration' / '_crossing_kernels.py').write_text(CROSSING)
+    inner = package / 'stereo' / 'holes' / '_probe_kernels.py'
+    printed = []
+    for value in (1, 22, 22):
+        inner.write_text(INNER.format(value))
+        os.utime(inner, (value, value))
+        done = subprocess.run(
+            [sys.executable, '-c', RUN],
+            cwd=tmp_path,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        printed.append(done.stdout.strip())
+    assert printed == ['1 0', '22 0', '22 1']
 
 
 def double(values: np.ndarray, start: int, stop: int) -> None:

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from binocular_recon._jit import kernel
 from binocular_recon.calibration.detection._layout_kernels import BESIDE
+from binocular_recon.calibration.detection._search_kernels import search_line
 from binocular_recon.calibration.target.board_plane import lateral_limit_m
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
@@ -23,10 +22,6 @@ AGREEMENT = 0.45
 LEAST_MARKS = 2
 # Something in front of the rod may come as near to a border as this, px.
 NEAR_RISE_PX = 2.0
-# How near the frame a mark may be, px.
-FRAME_PX = 1.0
-# Agreement of what is out of the picture.
-OUTSIDE = -9.0
 
 
 class Averaged(NamedTuple):
@@ -136,100 +131,3 @@ def _window(
         side, along = 0.3 * width_px, 1.5 + 0.04 * gap
     # however far the window reaches, at most so many places are tried
     return np.array([side, along, max(1.0, 0.25 * width_px, side / 10), max(1.0, along / 15)])
-
-
-@kernel
-def _agreement(
-    middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
-) -> float:
-    """Return how well the levels above and below x, y agree with ``levels`` (below, above).
-
-    ``up`` reaches from the border to the middle of the band above. ``OUTSIDE`` there.
-    """
-    height, width = middle.shape
-    xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
-    xb, yb = int(x - up[0] + 0.5), int(y - up[1] + 0.5)
-    # next to the frame the bands are short
-    ya, yb = max(ya, 0), min(yb, height - 1)
-    if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
-        return OUTSIDE
-    if xa < 0 or xa >= width or xb < 0 or xb >= width:
-        return OUTSIDE
-    off = abs(middle[yb, xb] - levels[0]) + abs(middle[ya, xa] - levels[1])
-    return float(1.0 - off / abs(levels[1] - levels[0]))
-
-
-@kernel
-def search_line(
-    middle: FloatImage,
-    near: FloatImage,
-    predicted: FloatArray,
-    window: FloatArray,
-    levels: FloatArray,
-    rises: FloatArray,
-    points: FloatArray,
-    agreement: FloatArray,
-) -> None:
-    """Shift a whole rod sideways at both ends and along until its marks agree best.
-
-    Parameters
-    ----------
-    middle, near : (H, W) float32
-        Image averaged over the rod's width, and over a few rows only.
-    predicted : (M, 2) float64
-        Where the marks should be, px.
-    window : (4,) float64
-        Largest shift sideways and along, and the steps sideways and along, px.
-    levels : (2,) float64
-        Grey levels of dark and light bands.
-    rises : (2,) float64
-        Distance from a border at which levels of ``middle`` and ``near`` are compared, px.
-    points, agreement : (M, 2), (M,) float64
-        Written: the marks' places and how well their levels agree.
-
-    """
-    count = predicted.shape[0]
-    dx, dy = predicted[-1, 0] - predicted[0, 0], predicted[-1, 1] - predicted[0, 1]
-    length = math.sqrt(dx * dx + dy * dy)
-    dx, dy = dx / length, dy / length
-    step, rise = window[2], rises[0]
-    sides, alongs = math.ceil(window[0] / step), math.ceil(window[1] / window[3])
-    best = -1e9
-    best_low = best_high = best_along = 0.0
-    flipped = levels[::-1].copy()
-    for low in range(-sides, sides + 1):
-        for high in range(-sides, sides + 1):
-            for shift in range(-alongs, alongs + 1):
-                along = shift * window[3]
-                total = 0.0
-                for m in range(count):
-                    f = m / (count - 1)
-                    side = step * (low + f * (high - low))
-                    x = predicted[m, 0] - side * dy + along * dx
-                    y = predicted[m, 1] + side * dx + along * dy
-                    value = _agreement(
-                        middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
-                    )
-                    # what is out of the picture tells nothing
-                    if value != OUTSIDE:
-                        total += max(-0.5, value)
-                # equal scores: the smaller shift
-                total -= 1e-3 * (abs(low) + abs(high) + abs(shift))
-                if total > best:
-                    best, best_low, best_high, best_along = total, low, high, along
-    for m in range(count):
-        f = m / (count - 1)
-        side = step * (best_low + f * (best_high - best_low))
-        # each mark may still be a little off
-        agreement[m] = OUTSIDE
-        expected = levels if m % 2 == 0 else flipped
-        for extra in range(-2, 3):
-            along = best_along + extra
-            x = predicted[m, 0] - side * dy + along * dx
-            y = predicted[m, 1] + side * dx + along * dy
-            value = max(
-                _agreement(middle, x, y, (rise * dx, rise * dy), expected),
-                _agreement(near, x, y, (rises[1] * dx, rises[1] * dy), expected),
-            )
-            if value > agreement[m]:
-                agreement[m], points[m, 0], points[m, 1] = value, x, y

@@ -22,7 +22,7 @@ from binocular_recon.calibration.detection._rod_fit_kernels import (
     accumulate_rows,
     shading,
 )
-from binocular_recon.calibration.detection._rod_start_kernels import centre_rod
+from binocular_recon.calibration.detection._search_kernels import centre_rod
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 

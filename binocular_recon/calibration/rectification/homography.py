@@ -39,7 +39,7 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class ImageGrid:
     """What the choice of a homography needs to know of one raw picture.
 
     Attributes
@@ -59,7 +59,7 @@ class Picture:
     usable_share: float
 
     @classmethod
-    def of(cls, calibration: StereoCalibration, side: str) -> Picture:
+    def of(cls, calibration: StereoCalibration, side: str) -> ImageGrid:
         """Lay the grid over the picture of ``'left'`` or ``'right'``."""
         width, height = calibration.image_size
         axes = np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)
@@ -111,7 +111,7 @@ def apply_inverse(homography: FloatArray, pixels: FloatArray) -> FloatArray:
 
 
 def centring(
-    aligned: Correction, left: Picture, right: Picture, image_size: tuple[int, int]
+    aligned: Correction, left: ImageGrid, right: ImageGrid, image_size: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the shifts (l3, r3 and the common u0 of eq. 9) that centre both pictures."""
     means = [
@@ -125,6 +125,7 @@ def centring(
 
 
 def check_in_front(*denominators: FloatArray) -> None:
+    """Raise a CalibrationError unless a homography maps its whole image in front of the camera."""
     if min(w.min() for w in denominators) <= 0:
         raise CalibrationError(
             'an epipole lies too close to its picture for rows to be aligned; mount the cameras'

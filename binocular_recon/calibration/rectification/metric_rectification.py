@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from binocular_recon.calibration.model import StereoCalibration, rotation
 from binocular_recon.calibration.rectification.homography import (
     Correction,
-    Picture,
+    ImageGrid,
     centring,
     check_in_front,
 )
@@ -43,7 +43,7 @@ def metric_rig(calibration: StereoCalibration) -> StereoRig:
     """
     check_order(calibration)
     check_epipoles(calibration)
-    left, right = (Picture.of(calibration, side) for side in ('left', 'right'))
+    left, right = (ImageGrid.of(calibration, side) for side in ('left', 'right'))
     facing = _rotation_to_baseline(calibration)
 
     def pair(free: FloatArray) -> Correction:

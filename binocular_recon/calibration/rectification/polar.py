@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from binocular_recon.calibration.model import StereoCalibration, cross_matrix
 from binocular_recon.calibration.rectification.homography import (
     Correction,
-    Picture,
+    ImageGrid,
     apply,
     centring,
     check_in_front,
@@ -75,7 +75,7 @@ def free_pair(calibration: StereoCalibration) -> Correction:
 
     """
     basic = _normalised(row_aligning_pair(calibration), calibration.image_size)
-    left, right = (Picture.of(calibration, side) for side in ('left', 'right'))
+    left, right = (ImageGrid.of(calibration, side) for side in ('left', 'right'))
 
     def pair(free: FloatArray) -> Correction:
         l1, l2, r1, r2, s, q = free
@@ -99,7 +99,7 @@ def free_pair(calibration: StereoCalibration) -> Correction:
 def check_epipoles(calibration: StereoCalibration) -> None:
     """Raise a CalibrationError if a camera sees the other one (forward motion)."""
     for side, epipole in zip(('left', 'right'), epipoles(calibration), strict=True):
-        outline = Picture.of(calibration, side).points_px
+        outline = ImageGrid.of(calibration, side).points_px
         # inside the bounding box of the picture, written so that e3 = 0 (infinitely far) works
         low, high = outline.min(axis=0), outline.max(axis=0)
         scaled = epipole[:2] * np.sign(epipole[2])

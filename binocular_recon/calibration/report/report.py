@@ -20,14 +20,7 @@ from binocular_recon.calibration.result import (
     CalibrationResult,
     row_statistics,
 )
-from binocular_recon.drawing.page import (
-    PAGE,
-    STYLE,
-    figure,
-    legend,
-    section,
-    table,
-)
+from binocular_recon.drawing.page import PAGE, STYLE, figure, legend, section, table
 
 _UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.

@@ -17,7 +17,8 @@ from binocular_recon.calibration.session.captures import (
     list_boards,
     read_boards,
 )
-from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.images import Image
 from binocular_recon.io.files import flush, make_folder

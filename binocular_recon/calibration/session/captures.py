@@ -14,7 +14,8 @@ import cv2
 from binocular_recon._jit import thread_count
 from binocular_recon.calibration.detection.detect import detect_rods
 from binocular_recon.calibration.screening import Rejected
-from binocular_recon.calibration.target.rods import Capture, RodBoard
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import BinocularReconError, CalibrationError, FileError
 from binocular_recon.io.image_files import read_image_file
 

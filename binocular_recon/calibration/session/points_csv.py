@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binocular_recon.calibration.target.rods import Capture
+from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError, FileError
 

@@ -1,2 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Placeholder."""
+"""What the cameras look at: rods as ``rods.yaml`` describes them, and their marks.
+
+`rods` reads and checks the file, `target` is the geometry that the adjustment takes (rods, or
+points known exactly), `capture` the marks of one board in both images, `board_plane` where a
+board's marks must lie in an image.
+"""
+
+from typing import TYPE_CHECKING
+
+from binocular_recon._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from binocular_recon.calibration.target.capture import Capture
+    from binocular_recon.calibration.target.rods import MARK_TYPES, RodBoard, load_rods, save_rods
+    from binocular_recon.calibration.target.target import Target
+
+__all__ = [
+    'MARK_TYPES',
+    'Capture',
+    'RodBoard',
+    'Target',
+    'load_rods',
+    'save_rods',
+]
+
+__getattr__ = lazy_exports(__name__, __file__)

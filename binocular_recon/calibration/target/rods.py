@@ -209,24 +209,6 @@ class RodBoard:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """The marks of one board as both cameras saw them.
-
-    Attributes
-    ----------
-    name : str
-        Name of the board, for messages and reports.
-    left_px, right_px : (R, M, 2) float64
-        Image positions x, y of the marks, pixel centres at integers; NaN = not found.
-
-    """
-
-    name: str
-    left_px: FloatArray
-    right_px: FloatArray
-
-
 def load_rods(path: str | Path) -> RodBoard:
     """Read ``rods.yaml``.
 

@@ -6,17 +6,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from binocular_recon.config import ChainConfig, OptionValue
+from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.accuracy.scenes import Scene
+from binocular_recon.evaluation.accuracy.scenes import TruthScene
 from binocular_recon.images import FloatImage, Image, to_grey
+from binocular_recon.options import OptionValue
+from binocular_recon.stereo.confidence import sigma_from_confidence
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
-from binocular_recon.stereo.matching.matcher import match, sigma_from_confidence
+from binocular_recon.stereo.matching.matcher import match
 from binocular_recon.stereo.pipeline import estimate_disparity
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class MethodResult:
     """A disparity map and, where the method offers one, its standard deviation.
 
     Attributes
@@ -42,17 +44,17 @@ class Method:
         Name in tables.
     prepare : function
         Takes left picture, right picture and number of disparities; returns the function that is
-        timed, which makes the `Estimate`.
+        timed, which makes the `MethodResult`.
     ours : bool
         True for a preset, False for a peer.
 
     """
 
     name: str
-    prepare: Callable[[Image, Image, int], Callable[[], Estimate]]
+    prepare: Callable[[Image, Image, int], Callable[[], MethodResult]]
     ours: bool = False
 
-    def estimate(self, scene: Scene) -> Estimate:
+    def estimate(self, scene: TruthScene) -> MethodResult:
         """Return the estimate for a scene."""
         return self.prepare(scene.left, scene.right, scene.max_disparity_px)()
 
@@ -68,13 +70,13 @@ def preset_method(preset: str, **overrides: OptionValue) -> Method:
     """
     ChainConfig.preset(preset, **overrides)
 
-    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], MethodResult]:
         config = _config(preset, overrides, disparity_range)
         wls = DisparityFilter(config.filter)
 
-        def run() -> Estimate:
+        def run() -> MethodResult:
             _, filtered = estimate_disparity(left, right, config, wls)
-            return Estimate(filtered.disparity_px, filtered.sigma_px)
+            return MethodResult(filtered.disparity_px, filtered.sigma_px)
 
         return run
 
@@ -85,12 +87,12 @@ def match_method(preset: str, **overrides: OptionValue) -> Method:
     """Return a preset's matching alone, before the filter."""
     ChainConfig.preset(preset, **overrides)
 
-    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], MethodResult]:
         config = _config(preset, overrides, disparity_range)
 
-        def run() -> Estimate:
+        def run() -> MethodResult:
             matched = match(to_grey(left), to_grey(right), config.match)
-            return Estimate(matched.disparity_px, sigma_from_confidence(matched.confidence))
+            return MethodResult(matched.disparity_px, sigma_from_confidence(matched.confidence))
 
         return run
 
@@ -100,18 +102,18 @@ def match_method(preset: str, **overrides: OptionValue) -> Method:
 def opencv_method(matcher: peers.OpenCvMatcher) -> Method:
     """Return one of OpenCV's matchers; the padding that it needs is made beforehand."""
 
-    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], Estimate]:
+    def prepare(left: Image, right: Image, disparity_range: int) -> Callable[[], MethodResult]:
         columns = -(-disparity_range // 16) * 16
         padded_left, padded_right = (peers.padded(image, columns) for image in (left, right))
         compute = matcher.prepare(columns)
 
-        def run() -> Estimate:
+        def run() -> MethodResult:
             disparity = compute(
                 peers.to_bytes(padded_left),
                 peers.to_bytes(padded_right),
                 peers.to_guide(padded_left),
             )
-            return Estimate(peers.from_fixed_point(disparity, columns))
+            return MethodResult(peers.from_fixed_point(disparity, columns))
 
         return run
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.evaluation.accuracy.scoring import SceneResult
-from binocular_recon.evaluation.accuracy.summary import figure
+from binocular_recon.evaluation.tables import figure
 from binocular_recon.images import ByteImage, FloatImage, to_bgr8
 
 # Upper limits of the error classes, px, and the colour (RGB) of each: blue right, red wrong.

@@ -10,7 +10,7 @@ import numpy as np
 
 from binocular_recon.evaluation.accuracy.methods import Method
 from binocular_recon.evaluation.accuracy.metrics import accuracy
-from binocular_recon.evaluation.accuracy.scenes import Scene
+from binocular_recon.evaluation.accuracy.scenes import TruthScene
 from binocular_recon.images import FloatImage
 
 EXPOSURE_GAIN, EXPOSURE_OFFSET = 0.6, 20.0
@@ -64,7 +64,9 @@ class CropChange:
     appeared_percent: float
 
 
-def darkened(scene: Scene, gain: float = EXPOSURE_GAIN, offset: float = EXPOSURE_OFFSET) -> Scene:
+def darkened(
+    scene: TruthScene, gain: float = EXPOSURE_GAIN, offset: float = EXPOSURE_OFFSET
+) -> TruthScene:
     """Return the scene with the right picture's grey levels times ``gain`` plus ``offset``.
 
     ``offset`` is in grey levels of 255; the result is rounded to the picture's type.
@@ -75,13 +77,13 @@ def darkened(scene: Scene, gain: float = EXPOSURE_GAIN, offset: float = EXPOSURE
 
 
 def exposure_change(
-    scene: Scene, method: Method, disparity_px: FloatImage | None = None
+    scene: TruthScene, method: Method, disparity_px: FloatImage | None = None
 ) -> ExposureChange:
     """Measure how much worse a method gets when one camera is exposed differently.
 
     Parameters
     ----------
-    scene : Scene
+    scene : TruthScene
         The scene as it is.
     method : Method
         What is tried.
@@ -97,13 +99,13 @@ def exposure_change(
 
 
 def crop_changes(
-    scene: Scene, method: Method, disparity_px: FloatImage | None = None
+    scene: TruthScene, method: Method, disparity_px: FloatImage | None = None
 ) -> list[CropChange]:
     """Compare a method's result on a crop with the same part of its result on the whole.
 
     Parameters
     ----------
-    scene : Scene
+    scene : TruthScene
         The whole.
     method : Method
         What is tried.

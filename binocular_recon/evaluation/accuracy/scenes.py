@@ -21,7 +21,7 @@ _DENSE_PERCENT = 40.0
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class TruthScene:
     """A rectified pair with ground truth.
 
     Attributes
@@ -102,7 +102,7 @@ def find_scenes(folder: Path, names: list[str] | None = None) -> list[Path]:
     return [known[name] for name in names]
 
 
-def read_scene(folder: Path) -> Scene:
+def read_scene(folder: Path) -> TruthScene:
     """Read a scene folder.
 
     Raises
@@ -123,7 +123,7 @@ def read_scene(folder: Path) -> Scene:
     visible, visible_source = _visibility(folder, truth_px)
     if visible is not None:
         _check_size(folder, 'visible.png', visible, size)
-    return Scene(
+    return TruthScene(
         name=folder.resolve().name,
         source=str(facts.get('source', 'unknown')),
         left=left,

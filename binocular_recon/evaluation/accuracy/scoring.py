@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.errors import BinocularReconError, FileError, ImageError
-from binocular_recon.evaluation.accuracy.methods import Estimate, Method
+from binocular_recon.evaluation.accuracy.methods import Method, MethodResult
 from binocular_recon.evaluation.accuracy.metrics import (
     Accuracy,
     DepthError,
@@ -22,7 +22,7 @@ from binocular_recon.evaluation.accuracy.metrics import (
     normalised_error_rms,
     sigma_bins,
 )
-from binocular_recon.evaluation.accuracy.scenes import Scene
+from binocular_recon.evaluation.accuracy.scenes import TruthScene
 from binocular_recon.evaluation.timing import interleaved
 
 # Rows of a scene on which our methods run before the clock does.
@@ -101,18 +101,18 @@ class SceneResult:
 
     Attributes
     ----------
-    scene : Scene
+    scene : TruthScene
         The scene, with its pictures.
     scores : SceneScores
         The figures.
-    estimates : tuple of Estimate
+    estimates : tuple of MethodResult
         The disparity maps, in the order of the scores.
 
     """
 
-    scene: Scene
+    scene: TruthScene
     scores: SceneScores
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[MethodResult, ...]
 
 
 @dataclass
@@ -141,12 +141,12 @@ class Failures:
             )
 
 
-def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> SceneResult:
+def evaluate_scene(scene: TruthScene, methods: list[Method], repeat: int = 3) -> SceneResult:
     """Evaluate methods on one scene; the timed runs of all methods take turns.
 
     Parameters
     ----------
-    scene : Scene
+    scene : TruthScene
         Pictures and ground truth.
     methods : list of Method
         What to compare.
@@ -160,7 +160,7 @@ def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> Scen
 
     """
     _compile(scene, methods)
-    estimates: dict[str, Estimate] = {}
+    estimates: dict[str, MethodResult] = {}
 
     def keeping(method: Method) -> Callable[[], None]:
         run = method.prepare(scene.left, scene.right, scene.max_disparity_px)
@@ -186,7 +186,7 @@ def evaluate_scene(scene: Scene, methods: list[Method], repeat: int = 3) -> Scen
     return SceneResult(scene, scores, tuple(estimates[m.name] for m in methods))
 
 
-def score(scene: Scene, method: Method, estimate: Estimate, seconds: float) -> Score:
+def score(scene: TruthScene, method: Method, estimate: MethodResult, seconds: float) -> Score:
     """Measure one estimate against a scene's ground truth."""
     disparity_px, truth_px, visible = estimate.disparity_px, scene.truth_px, scene.visible
     depth: list[DepthError] = []
@@ -213,7 +213,7 @@ def score(scene: Scene, method: Method, estimate: Estimate, seconds: float) -> S
     )
 
 
-def _compile(scene: Scene, methods: list[Method]) -> None:
+def _compile(scene: TruthScene, methods: list[Method]) -> None:
     """Run our methods on a piece of the scene: the first call of a kernel compiles it."""
     rows = slice(0, _WARM_UP_ROWS)
     for method in methods:
@@ -223,7 +223,7 @@ def _compile(scene: Scene, methods: list[Method]) -> None:
 
 
 @contextlib.contextmanager
-def _naming(scene: Scene, method: Method) -> Iterator[None]:
+def _naming(scene: TruthScene, method: Method) -> Iterator[None]:
     """Say which method failed on which scene."""
     try:
         yield

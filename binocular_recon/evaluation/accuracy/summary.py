@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from binocular_recon.evaluation.accuracy.metrics import Accuracy
 from binocular_recon.evaluation.accuracy.robustness import CropChange, ExposureChange
 from binocular_recon.evaluation.accuracy.scoring import SceneScores, Score
+from binocular_recon.evaluation.tables import figure, markdown_table
 
 REGIONS = ('everywhere', 'visible', 'occluded')
 # Times are given relative to the first of these that took part.
@@ -85,30 +84,6 @@ def _mean_accuracy(scores: Sequence[Score], region: str) -> Accuracy | None:
         float(np.mean([value.mean_error_px for value in known])),
         float(np.mean([value.density_percent for value in known])),
     )
-
-
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return an aligned Markdown table: text to the left in the first column, figures right."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-
-    def line(cells: Sequence[str]) -> str:
-        first, *rest = (
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
-        return '| ' + ' | '.join([first, *rest]) + ' |'
-
-    rule = '|' + '|'.join(
-        '-' * (width + 2) if i == 0 else '-' * (width + 1) + ':' for i, width in enumerate(widths)
-    )
-    return '\n'.join([line(header), rule + '|', *map(line, rows)])
-
-
-def figure(value: float | None, digits: int = 1) -> str:
-    """Return a number for a table, ``-`` if there is none."""
-    if value is None or math.isnan(value):
-        return '-'
-    return f'{value:.{digits}f}' if math.isfinite(value) else 'none'
 
 
 def overview(means: Sequence[Mean]) -> str:
@@ -278,16 +253,3 @@ def crop_table(changes: Sequence[CropChange]) -> str:
         *(f'{depth} px inside' for depth in depths),
     ]
     return markdown_table(header, rows) if rows else ''
-
-
-def to_plain(value: Any) -> Any:
-    """Return dataclasses, tuples and NaN as what JSON has: objects, arrays and null."""
-    if dataclasses.is_dataclass(value):
-        return {f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [to_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.calibration.model import StereoCalibration
-from binocular_recon.calibration.target.rods import Capture
+from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 
 

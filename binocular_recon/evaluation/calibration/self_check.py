@@ -31,8 +31,8 @@ from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks
 from binocular_recon.calibration.result import CalibrationResult, row_statistics
 from binocular_recon.calibration.screening import observations
-from binocular_recon.calibration.solve import solve
-from binocular_recon.calibration.target.rods import Capture
+from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.evaluation.calibration.opencv_calibration import calibrate_in_two_steps
@@ -150,7 +150,7 @@ def check_rows(
         for set_ in range(sets):
             placed = simulated_boards(rig, placement, 2 * boards, set_, 0)
             captures = simulated_captures(rig, placed, ROWS_NOISE_PX, (set_, 0))
-            result = solve(captures[:boards], placed[0].board, rig.left.size)
+            result = calibrate(captures[:boards], placed[0].board, rig.left.size)
             means.append(_held_out_rows(result, captures[boards:]))
         yield RowsRow(placement, *(float(value) for value in np.mean(means, axis=0)))
 
@@ -222,7 +222,7 @@ def _accuracy_run(
     """Return depth error, bound, stated sigma, depth errors of peers, Table 2's averages."""
     placed = simulated_boards(rig, placement_m, boards, *seed)
     captures = simulated_captures(rig, placed, BOUND_NOISE_PX, seed)
-    result = solve(captures, placed[0].board, rig.left.size)
+    result = calibrate(captures, placed[0].board, rig.left.size)
     opencv = calibrate_in_two_steps(captures, result.estimate.problem.target, rig.left.size)
     truth = true_calibration(rig)
     stated = depth_sigma_m(

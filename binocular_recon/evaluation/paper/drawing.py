@@ -6,9 +6,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from binocular_recon.drawing.clouds import View, draw_cloud
+from binocular_recon.drawing.clouds import CloudView, draw_cloud
 from binocular_recon.drawing.colormap import heat_map
-from binocular_recon.evaluation.paper.sites import BICYCLE, CROP_M, PEOPLE, PaperRun, Survey
+from binocular_recon.evaluation.paper.runs import CROP_M, PaperRun, Survey
+from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
 from binocular_recon.images import ByteImage, to_bgr8
 
 LINE_BGR, TEXT_BGR = (60, 230, 255), (255, 255, 255)
@@ -58,7 +59,7 @@ def draw_crop(survey: Survey) -> ByteImage:
     inside = (points[..., 2] > near) & (points[..., 2] < far)
     cropped = np.where(inside[..., None], points, np.float32(np.nan))
     colour = to_bgr8(survey.reconstruction.left)[window]
-    return draw_cloud(cropped, colour, (WIDTH_PX, WIDTH_PX // 2), View(15.0, 20.0, 1.0))
+    return draw_cloud(cropped, colour, (WIDTH_PX, WIDTH_PX // 2), CloudView(15.0, 20.0, 1.0))
 
 
 def _window(survey: Survey) -> tuple[slice, slice]:

@@ -7,14 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from binocular_recon.evaluation.accuracy.summary import figure, markdown_table
-from binocular_recon.evaluation.paper.sites import (
-    BICYCLE,
-    MARK_NOISE_PX,
-    PEOPLE,
-    PICK_NOISE_PX,
-    PaperRun,
-)
+from binocular_recon.evaluation.paper.runs import MARK_NOISE_PX, PaperRun
+from binocular_recon.evaluation.paper.site import PICK_NOISE_PX
+from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
+from binocular_recon.evaluation.tables import figure, markdown_table
 
 # Table 1: uncorrected left and right row, corrected left and right row of six points, px.
 PAPER_ROWS = (

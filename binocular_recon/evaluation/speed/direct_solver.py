@@ -12,11 +12,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from binocular_recon.evaluation.speed.stages import Bench
-from binocular_recon.stereo.filtering.wls_filter import (
-    Equations,
-    filter_disparity,
-    normal_equations,
-)
+from binocular_recon.stereo.filtering import Equations, normal_equations
+from binocular_recon.stereo.filtering.wls_filter import filter_disparity
 
 
 def solve_direct(equations: Equations) -> npt.NDArray[np.float64]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements that need a process of their own: peak memory and the first call.
 
-``python -m binocular_recon.evaluation.speed.probe memory|first-call PRESET WIDTH HEIGHT DISPARITIES``
-writes one JSON object to stdout.
+``python -m binocular_recon.evaluation.speed.probe memory|first-call PRESET WIDTH HEIGHT
+DISPARITIES`` writes one JSON object to stdout.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.errors import BinocularReconError
-from binocular_recon.evaluation.timing import peak_bytes
+from binocular_recon.machine import peak_bytes
 
 # On pictures of this size kernels are compiled before memory is measured.
 _SMALL = (96, 64, 16)

@@ -1,2 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Placeholder."""
+"""Bags: ROS 1, ROS 2 sqlite3 and mcap, read and written without ROS.
+
+`reader` reads messages, also of damaged files (`_salvage`, `_sources`) and of ROS 1
+(`_ros1_conversion`); `writer` writes them; `stereo_topics` finds a rig's topics and `stereo_bag`
+pairs its images.
+"""
+
+from typing import TYPE_CHECKING
+
+from binocular_recon._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from binocular_recon.io.bags.reader import Bag, BagMessage
+    from binocular_recon.io.bags.stereo_bag import StereoBag, StereoFrame
+    from binocular_recon.io.bags.stereo_topics import (
+        StereoTopics,
+        find_stereo_topics,
+        name_stereo_topics,
+    )
+    from binocular_recon.io.bags.writer import BagWriter
+
+__all__ = [
+    'Bag',
+    'BagMessage',
+    'BagWriter',
+    'StereoBag',
+    'StereoFrame',
+    'StereoTopics',
+    'find_stereo_topics',
+    'name_stereo_topics',
+]
+
+__getattr__ = lazy_exports(__name__, __file__)

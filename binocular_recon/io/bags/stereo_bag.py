@@ -12,12 +12,8 @@ from binocular_recon.errors import BagError, CalibrationError
 from binocular_recon.images import Image
 from binocular_recon.io.bags.reader import Bag, Topic, decode
 from binocular_recon.io.bags.stereo_topics import StereoTopics
-from binocular_recon.io.messages.images import (
-    calibration_content,
-    read_image,
-    rig_from_messages,
-    stamp_ns,
-)
+from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
+from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.pairing import Synchronizer
 
 # Pictures of one camera that may wait for the other's: recorders mix the cameras' messages.
@@ -25,7 +21,7 @@ _WAITING = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class StereoFrame:
     """Two pictures of the same instant.
 
     Attributes
@@ -107,7 +103,7 @@ class StereoBag:
             return self.pictures - 2 * self._pairs
         return self._synchronizer.dropped.total()
 
-    def __iter__(self) -> Iterator[Pair]:
+    def __iter__(self) -> Iterator[StereoFrame]:
         """Yield the pairs in the order of recording; of each camera at most 50 pictures wait.
 
         Raises
@@ -127,7 +123,7 @@ class StereoBag:
             if latest is not infos:
                 infos, rig = latest, self._changed_rig(latest)
             if rig:
-                yield Pair(stamp_ns(left.message.header), rig, left.message, right.message)
+                yield StereoFrame(stamp_ns(left.message.header), rig, left.message, right.message)
         if not self._pairs:
             raise BagError(f'{self._bag.path}: {self._complaint()}')
 

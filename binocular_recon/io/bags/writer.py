@@ -24,7 +24,8 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.images import Image
 from binocular_recon.io.bags.reader import TopicQos, ros2_types
-from binocular_recon.io.messages.images import fill_camera_info, fill_image, plain_encoding
+from binocular_recon.io.messages.camera_infos import fill_camera_info
+from binocular_recon.io.messages.images import fill_image, plain_encoding
 
 RELIABLE = TopicQos()
 _UNLIMITED = QosTime(9223372036, 854775807)  # as rosbag2 writes it

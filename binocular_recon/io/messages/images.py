@@ -15,13 +15,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.errors import CalibrationError, ImageError
+from binocular_recon.errors import ImageError
 from binocular_recon.images import Image
 from binocular_recon.io.image_files import decoded_image
 
 
-class Picture(NamedTuple):
+class DecodedImage(NamedTuple):
     """A picture and how a message would name its pixels.
 
     Attributes
@@ -84,7 +83,7 @@ def stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def read_image(message: Any, name: str = 'image') -> Picture:
+def read_image(message: Any, name: str = 'image') -> DecodedImage:
     """Decode an Image or a CompressedImage.
 
     Parameters
@@ -96,7 +95,7 @@ def read_image(message: Any, name: str = 'image') -> Picture:
 
     Returns
     -------
-    Picture
+    DecodedImage
         Without a copy where the message's bytes allow it.
 
     Raises
@@ -114,7 +113,7 @@ def read_image(message: Any, name: str = 'image') -> Picture:
             image = cv2.cvtColor(image, code)
     if ENCODINGS[encoding].decode is not None and ENCODINGS[encoding].encode is None:
         encoding = 'bgr8'
-    return Picture(image, encoding)
+    return DecodedImage(image, encoding)
 
 
 def image_samples(message: Any, name: str = 'image') -> Image:
@@ -207,62 +206,6 @@ def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
     else:
         flat = np.ascontiguousarray(values).reshape(-1)
         setattr(message, member, flat.view(present.dtype))
-
-
-def camera_from_message(info: Any, name: str = 'camera') -> Camera:
-    """Return the camera of a CameraInfo (ROS 2's ``k`` or ROS 1's ``K``).
-
-    Binning and region of interest are applied: the camera is that of the picture as sent.
-
-    Raises
-    ------
-    CalibrationError
-        If the camera is not calibrated or contradicts itself; it begins with ``name``.
-
-    """
-    K, D, R, P = (
-        np.array(getattr(info, key) if hasattr(info, key) else getattr(info, key.upper()), float)
-        for key in 'kdrp'
-    )
-    roi = info.roi
-    binning = np.array([max(1, info.binning_x), max(1, info.binning_y)])
-    offset = np.array([roi.x_offset, roi.y_offset])
-    size = np.array([roi.width or info.width, roi.height or info.height]) // binning
-    if K.size == 9 and P.size == 12:
-        K, P = K.reshape(3, 3), P.reshape(3, 4)
-        for matrix in (K, P):
-            matrix[:2, 2] -= offset
-            matrix[:2] /= binning[:, None]
-    try:
-        return Camera(int(size[0]), int(size[1]), K, D, R, P, info.distortion_model)
-    except CalibrationError as error:
-        raise CalibrationError(f'{name}: {error}') from error
-
-
-def rig_from_messages(left: Any, right: Any) -> StereoRig:
-    """Return the rig of two CameraInfos; raises a CalibrationError that names the camera."""
-    return StereoRig(
-        camera_from_message(left, 'left camera'), camera_from_message(right, 'right camera')
-    )
-
-
-def calibration_content(info: Any) -> tuple[Any, ...]:
-    """Return what a CameraInfo says besides its header, to be compared."""
-    roi = info.roi
-    return (
-        *(np.asarray(getattr(info, member)).tobytes() for member in 'kdrp'),
-        *(info.width, info.height, info.distortion_model, info.binning_x, info.binning_y),
-        *(roi.x_offset, roi.y_offset, roi.width, roi.height),
-    )
-
-
-def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
-    """Fill a CameraInfo message with ``camera``; binning and region of interest stay zero."""
-    message.header = header
-    message.width, message.height = camera.size
-    message.distortion_model = camera.distortion_model
-    for member, values in (('d', camera.D), ('k', camera.K), ('r', camera.R), ('p', camera.P)):
-        assign_array(message, member, np.asarray(values, np.float64).reshape(-1))
 
 
 def _kind(image: Image) -> tuple[str, int]:

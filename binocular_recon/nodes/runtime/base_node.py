@@ -15,14 +15,15 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import Options
 from binocular_recon.errors import BinocularReconError, CalibrationError
-from binocular_recon.io.messages.images import calibration_content, rig_from_messages, stamp_ns
+from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
+from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.endpoints import Input, Output, offer, subscribe
 from binocular_recon.nodes.runtime.health import Health
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.nodes.runtime.parameters import Parameters
 from binocular_recon.nodes.runtime.worker import LatestWorker
+from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
 
 # How often a listener is looked for where the middleware does not report it.

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 
-from binocular_recon.config import PRESETS, Options, option
+from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
+from binocular_recon.options import Options, option
 
 
 @dataclass(frozen=True)

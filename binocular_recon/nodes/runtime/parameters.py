@@ -16,8 +16,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from binocular_recon.config import PRESETS, Options, OptionValue, check_option
+from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
+from binocular_recon.options import Options, OptionValue, check_option
 
 Spec = dataclasses.Field[Any]
 Group = TypeVar('Group', bound=Options)

@@ -14,7 +14,7 @@ _ZERO = np.float32(0)
 _WHOLE = np.float32(1e-3)
 
 
-class Evidence(NamedTuple):
+class SigmaTerms(NamedTuple):
     """What the variance of pixels is made of; images are (H, W) float32.
 
     Attributes
@@ -118,7 +118,9 @@ def _spread_along_row(padded: Array, out: Array) -> None:
 
 
 @kernel
-def _add_variances(evidence: Evidence, y: int, squares: Array, counts: Array, out: Array) -> None:
+def _add_variances(
+    evidence: SigmaTerms, y: int, squares: Array, counts: Array, out: Array
+) -> None:
     measured, level, distance = evidence.measured[y], evidence.confidence[y], evidence.distance[y]
     one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
     rounding, unmatched = np.float32(evidence.rounding), np.float32(evidence.unmatched)
@@ -133,7 +135,7 @@ def _add_variances(evidence: Evidence, y: int, squares: Array, counts: Array, ou
 
 
 @kernel
-def standard_deviation(evidence: Evidence, sigma: Array, start: int, stop: int) -> None:
+def standard_deviation(evidence: SigmaTerms, sigma: Array, start: int, stop: int) -> None:
     """Write the root of a constant, the match's variance, the data's scatter and the hole's.
 
     ``sigma`` comes with what `spread_of_gaps` writes.

@@ -25,15 +25,15 @@ from binocular_recon._simd import (
     store,
     store_pairs,
 )
+from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
-from binocular_recon.stereo.filtering._wls_kernels import PAD, Vector
 
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
 _TINY = np.float32(1e-30)
 
 
-class Picture(NamedTuple):
+class RedBlackGrid(NamedTuple):
     """The equations of all pixels.
 
     Attributes
@@ -72,7 +72,7 @@ def _east_west(array: Vector, k: int, odd: int) -> Any:
 
 
 @kernel
-def invert_red(picture: Picture, start: int, stop: int) -> None:
+def invert_red(picture: RedBlackGrid, start: int, stop: int) -> None:
     """Write 1 / diagonal of the red pixels of rows."""
     right, down, stride = picture.links[0], picture.links[2], picture.stride
     for y in range(start, stop):
@@ -89,7 +89,9 @@ def invert_red(picture: Picture, start: int, stop: int) -> None:
 
 
 @kernel
-def reduce_links(picture: Picture, links: Vector, excess: Vector, start: int, stop: int) -> None:
+def reduce_links(
+    picture: RedBlackGrid, links: Vector, excess: Vector, start: int, stop: int
+) -> None:
     """Write the links and the excess of black nodes of rows."""
     right, down, stride = picture.links[0], picture.links[2], picture.stride
     weight, inverse, half_stride = picture.weight, picture.inverse, picture.half_stride
@@ -118,7 +120,7 @@ def reduce_links(picture: Picture, links: Vector, excess: Vector, start: int, st
 
 @kernel
 def reduce_right_side(
-    picture: Picture, right_side: Vector, out: Vector, start: int, stop: int
+    picture: RedBlackGrid, right_side: Vector, out: Vector, start: int, stop: int
 ) -> None:
     """Write the right side of black nodes of rows."""
     right, down, stride = picture.links[0], picture.links[2], picture.stride
@@ -141,7 +143,9 @@ def reduce_right_side(
 
 
 @kernel
-def gather_black(picture: Picture, pixels: Vector, out: Vector, start: int, stop: int) -> None:
+def gather_black(
+    picture: RedBlackGrid, pixels: Vector, out: Vector, start: int, stop: int
+) -> None:
     """Copy the black pixels of rows."""
     for y in range(start, stop):
         k, q = (y + PAD) * picture.stride + PAD, (y + PAD) * picture.half_stride + PAD
@@ -151,7 +155,7 @@ def gather_black(picture: Picture, pixels: Vector, out: Vector, start: int, stop
 
 @kernel
 def substitute(
-    picture: Picture, right_side: Vector, black: Vector, out: Vector, start: int, stop: int
+    picture: RedBlackGrid, right_side: Vector, black: Vector, out: Vector, start: int, stop: int
 ) -> None:
     """Write all pixels of rows from the black ones."""
     right, down, stride = picture.links[0], picture.links[2], picture.stride

@@ -25,7 +25,7 @@ from binocular_recon._simd import (
     store,
     store_pairs,
 )
-from binocular_recon.stereo.filtering._wls_kernels import PAD, Vector
+from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
 
 Real = np.floating[Any] | float
 

@@ -9,22 +9,20 @@ an estimate of the largest error in px, not on a residual.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
+from binocular_recon.stereo.filtering import _gradient_kernels as gradient_kernels
 from binocular_recon.stereo.filtering import _reduction_kernels as reduction
 from binocular_recon.stereo.filtering import _transfer_kernels as transfers
-from binocular_recon.stereo.filtering import _wls_kernels as lattice_kernels
-from binocular_recon.stereo.filtering._reduction_kernels import Picture
+from binocular_recon.stereo.filtering._grids import Coarser, Level, padded_stride
+from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
+from binocular_recon.stereo.filtering._reduction_kernels import RedBlackGrid
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
-from binocular_recon.stereo.filtering._wls_kernels import OVERLAP, PAD, Lattice, Vector
 
-_NODES_PER_STRIP = 65536
 _PATIENCE = 30  # iterations
 # The smallest eigenvalue is not taken to be larger than this after one iteration.
 _FIRST_EIGENVALUE = 0.35
@@ -54,74 +52,6 @@ class Solution(NamedTuple):
     error_estimate: float
 
 
-def _stride(columns: int) -> int:
-    """Return the floats of a row of nodes: a pad and whole pairs of vectors."""
-    return PAD + -(-columns // (2 * LANES)) * 2 * LANES
-
-
-class _Level:
-    """A lattice with the vectors that a cycle needs on it."""
-
-    def __init__(self, rows: int, columns: int, *, black: bool = False) -> None:
-        stride = _stride(columns)
-        nodes = (rows + 2 * PAD) * stride + 2 * LANES
-        strips = max(1, round(nodes / _NODES_PER_STRIP))
-        strip = max(8, -(-rows // (strips + strips % 2))) if strips > 1 else rows
-        of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
-        strips = -(-rows // strip)
-        if black:
-            later = [[1, stride - 1, stride, 2 * stride], [1, stride, stride + 1, 2 * stride]]
-            triangles = [[0, 2, 1], [1, 2, 0], [1, 3, 2], [2, 3, 1]]
-        else:
-            later = [[1, stride - 1, stride, stride + 1]] * 2
-            triangles = [[0, 3, 2], [0, 2, 1], [1, 2, 0], [2, 3, 0]]
-        earlier = later[::-1]
-        self.columns = columns
-        self.lattice = Lattice(
-            links=np.zeros((4, nodes), np.float32),
-            excess=np.zeros(nodes, np.float32),
-            factors=np.zeros((strips, 5, of_strip), np.float32),
-            scratch=np.zeros((strips, of_strip), np.float32),
-            later=np.array(later),
-            earlier=np.array(earlier),
-            triangles=np.array(triangles),
-            rows=rows,
-            width=-(-columns // LANES) * LANES,
-            stride=stride,
-            strip=strip,
-        )
-        self.right, self.x, self.work = (self.vector() for _ in range(3))
-
-    def vector(self) -> Vector:
-        return np.zeros_like(self.lattice.excess)
-
-    def over(self, function: Callable[..., None], *args: Any) -> None:
-        """Call a kernel on this level's rows."""
-        over_strips(function, self.lattice.rows, *args, strip=self.lattice.strip)
-
-    def factorise(self) -> None:
-        self.over(lattice_kernels.factorise, self.lattice)
-
-    def smooth(self, right: Vector, x: Vector, out: Vector, *, correct: bool) -> None:
-        self.over(lattice_kernels.smooth, self.lattice, right, x, out, correct)
-
-    def residual(self, right: Vector, x: Vector, out: Vector) -> None:
-        self.over(lattice_kernels.residual, self.lattice, right, x, out)
-
-    def sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
-        """Call a kernel that writes three numbers for each strip; return them, (strips, 3)."""
-        sums = np.zeros((len(self.lattice.factors), 3))
-        self.over(function, self.lattice, *args, sums)
-        return sums
-
-
-class _Coarser(NamedTuple):
-    """The next coarser grid and the way to it."""
-
-    level: _Level
-    transfer: Transfer
-
-
 class System:
     """The equations (C + lambda L_g) f = C b of pictures of one size, one after the other.
 
@@ -134,10 +64,10 @@ class System:
 
     def __init__(self, rows: int, columns: int) -> None:
         self.shape = rows, columns
-        self._black = _Level(rows, (columns + 1) // 2, black=True)
-        stride = _stride(columns)
+        self._black = Level(rows, (columns + 1) // 2, black=True)
+        stride = padded_stride(columns)
         padded = (rows + 2 * PAD) * stride + 2 * LANES
-        self._picture = Picture(
+        self._picture = RedBlackGrid(
             links=np.zeros((4, padded), np.float32),
             weight=np.zeros(padded, np.float32),
             inverse=self._black.vector(),
@@ -149,18 +79,18 @@ class System:
         self._vectors = [self._black.vector() for _ in range(6)]
         self._coarser = self._make_grids()
 
-    def _make_grids(self) -> list[_Coarser]:
+    def _make_grids(self) -> list[Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
         (rows, columns), stride = self.shape, self._picture.stride
-        coarser: list[_Coarser] = []
+        coarser: list[Coarser] = []
         while max(rows, columns) > 1:
-            level = _Level((rows + 1) // 2, (columns + 1) // 2)
+            level = Level((rows + 1) // 2, (columns + 1) // 2)
             weights = np.zeros((6, level.lattice.excess.size), np.float32)
             weights[:2] = 1
             transfer = Transfer(
                 weights, rows, columns, stride, level.lattice.stride, diagonal=bool(coarser)
             )
-            coarser.append(_Coarser(level, transfer))
+            coarser.append(Coarser(level, transfer))
             rows, columns, stride = level.lattice.rows, level.columns, level.lattice.stride
         return coarser
 
@@ -238,10 +168,10 @@ class System:
         """Change x along a direction as far as it becomes better."""
         black, (right, x, residual, z, p, Ap) = self._black, self._vectors
         black.over(reduction.gather_black, self._picture, pixels, z)
-        sums = black.sums(lattice_kernels.turn, z, 0.0, residual, p, Ap)
+        sums = black.sums(gradient_kernels.turn, z, 0.0, residual, p, Ap)
         pAp, pr, _ = sums.sum(axis=0).tolist()
         if pAp > 0:
-            black.over(lattice_kernels.step, black.lattice, pr / pAp, p, x)
+            black.over(gradient_kernels.step, black.lattice, pr / pAp, p, x)
             black.residual(right, x, residual)
 
     def _cycle(self, depth: int, right: Vector, out: Vector) -> None:
@@ -280,16 +210,16 @@ class System:
         pAp = 1.0
         while _improves(errors):
             self._precondition(residual, z)
-            sums = black.sums(lattice_kernels.measure, z, Ap)
+            sums = black.sums(gradient_kernels.measure, z, Ap)
             share = -float(sums[:, 0].sum()) / pAp if errors else 0.0
             largest = float(sums[:, 1].max())
-            sums = black.sums(lattice_kernels.turn, z, share, residual, p, Ap)
+            sums = black.sums(gradient_kernels.turn, z, share, residual, p, Ap)
             pAp, pr = sums[:, :2].sum(axis=0).tolist()
             if not (pAp > 0 and pr > 0):  # solved to the last digit
                 errors.append(largest)
                 break
             length = pr / pAp
-            black.over(lattice_kernels.step, black.lattice, length, p, x)
+            black.over(gradient_kernels.step, black.lattice, length, p, x)
             # anew, not updated by A p: what rounding leaves in it must not stay
             black.residual(right, x, residual)
             errors.append(progress.error(length, share, largest, length * float(sums[:, 2].max())))

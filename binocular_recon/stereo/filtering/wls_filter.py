@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,15 +14,15 @@ from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
+from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.holes._hole_kernels import fill_from_nearest, spread_of_gaps
+from binocular_recon.stereo.holes import spread_of_gaps
 from binocular_recon.stereo.holes.completion import (
     COMPLETED_CONFIDENCE,
-    complete,
     copy_nearest_rows,
 )
-from binocular_recon.stereo.matching.matcher import SIGMA_UNIT_PX
 
 # Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
 LIMIT_MARGIN_PX = 2.0**-10
@@ -58,28 +57,6 @@ class Filtered:
     sigma_px: FloatImage
     iterations: int
     error_estimate_px: float
-
-
-class Equations(NamedTuple):
-    """The normal equations (C + lambda L_g) f = C b of eq. 13.
-
-    Attributes
-    ----------
-    data : (H, W) float32
-        b, without gaps.
-    weight : (H, W) float32
-        c, the diagonal of C.
-    link_x : (H, W - 1) float32
-        lambda a_x between horizontal neighbours.
-    link_y : (H - 1, W) float32
-        lambda a_y between vertical neighbours.
-
-    """
-
-    data: FloatImage
-    weight: FloatImage
-    link_x: FloatImage
-    link_y: FloatImage
 
 
 class DisparityFilter:
@@ -196,25 +173,6 @@ def filter_disparity(
     return wls(disparity_px, confidence, guide, limits_px=limits_px, initial=initial)
 
 
-def normal_equations(
-    measured_px: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
-) -> Equations:
-    """Return the equations that the filter solves.
-
-    Parameters
-    ----------
-    measured_px : (H, W) float32
-        Raw disparity; NaN = none.
-    confidence, guide : (H, W) float32
-        As for `filter_disparity`.
-    config : FilterConfig
-        Weights.
-
-    """
-    data, weight = _data_term(measured_px, confidence, config)
-    return Equations(data, weight, *_links(data, guide, config))
-
-
 def _measured(
     disparity_px: FloatImage, confidence: FloatImage, limits_px: tuple[float, float]
 ) -> FloatImage:
@@ -230,25 +188,13 @@ def _measured(
     return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
 
 
-def _data_term(
-    measured: FloatImage, confidence: FloatImage, config: FilterConfig
-) -> tuple[FloatImage, FloatImage]:
-    """Return b without gaps and c of eq. 13."""
-    if not config.wls_use_confidence:
-        return _nearest_in_row(measured), np.ones_like(measured)
-    valid = np.isfinite(measured)
-    weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
-    data, completed = complete(measured, weight, extrapolate=config.wls_extrapolate)
-    return data, completed if config.wls_complete else weight
-
-
 def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
     """Return the standard deviation of every pixel."""
     sigma = np.empty_like(measured)
     over_strips(spread_of_gaps, len(measured), measured, sigma)
     hole = np.isnan(measured)
     copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
-    evidence = kernels.Evidence(
+    evidence = kernels.SigmaTerms(
         measured,
         filtered,
         np.asarray(confidence, np.float32),
@@ -273,42 +219,3 @@ def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
                 f'disparity is {disparity_px.shape} and {name} {image.shape} (rows, columns);'
                 ' both must come from the same picture'
             )
-
-
-def _nearest_in_row(measured: FloatImage) -> FloatImage:
-    """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
-    filled = np.empty_like(measured)
-    over_strips(fill_from_nearest, len(measured), measured, filled)
-    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
-    return filled
-
-
-def _luminance(data: FloatImage, guide: FloatImage, config: FilterConfig) -> FloatImage:
-    """Return the guide's luminance Y in [0, 1], NaN where there is no picture."""
-    if config.wls_guide == 'left':
-        return np.asarray(guide, np.float32) / np.float32(255)
-    low, high = data.min(), data.max()
-    unit_range: FloatImage = (data - low) / max(high - low, np.finfo(np.float32).tiny)
-    return unit_range
-
-
-def _links(
-    data: FloatImage, guide: FloatImage, config: FilterConfig
-) -> tuple[FloatImage, FloatImage]:
-    """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
-    luminance = _luminance(data, guide, config)
-    height, width = data.shape
-    link_x = np.empty((height, width - 1), np.float32)
-    link_y = np.empty((height - 1, width), np.float32)
-    options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon
-
-    def fill(start: int, stop: int) -> None:
-        log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
-        kernels.size_of_steps(log, link_x, link_y, start, stop)  # no picture, no edge
-        for link in (link_x[start:stop], link_y[start:stop]):
-            if link.size:  # OpenCV refuses an empty one
-                cv2.pow(link, config.wls_alpha, link)
-        kernels.weigh_links(data, link_x, link_y, options, start, stop)
-
-    over_strips(fill, height)
-    return link_x, link_y

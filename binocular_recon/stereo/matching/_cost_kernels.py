@@ -22,7 +22,7 @@ from binocular_recon._simd import (
     to_uint8,
 )
 from binocular_recon.stereo.matching._ncc_kernels import (
-    Pair,
+    PaddedPair,
     Statistics,
     enter_row,
     new_statistics,
@@ -41,8 +41,8 @@ class CostSource(NamedTuple):
     big one where it does not.
     """
 
-    big: Pair
-    small: Pair
+    big: PaddedPair
+    small: PaddedPair
     noise_energy: float
     disparities: int
     padded: int

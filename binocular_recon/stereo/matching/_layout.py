@@ -15,7 +15,7 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.matching._layout_kernels import is_whole, lay_out_strip
-from binocular_recon.stereo.matching._ncc_kernels import Pair
+from binocular_recon.stereo.matching._ncc_kernels import PaddedPair
 
 # Grey levels farther than this outside 0..255 are no interpolation overshoot but another unit.
 _OVERSHOOT = 128.0
@@ -79,7 +79,7 @@ def lay_out(
     config: MatchConfig,
     border: int,
     contrasts: tuple[float, float] = (1.0, 1.0),
-) -> tuple[Pair, int]:
+) -> tuple[PaddedPair, int]:
     """Return checked pictures as kernels need them, and their steps per grey level.
 
     ``border`` columns and rows are mirrored onto each side first. ``contrasts`` are factors on
@@ -93,7 +93,7 @@ def lay_out(
     height, width = left.shape
     places = width + padded_range(config) - 1
     threshold = (config.texture_threshold * steps) ** 2 * size * size
-    pair = Pair(
+    pair = PaddedPair(
         np.empty((height + 1, width), kind),
         np.empty((height + 1, places), kind),
         np.empty((height + 1, width), np.uint8),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from binocular_recon._jit import Array, kernel
-from binocular_recon.stereo.matching._ncc_kernels import Pair
+from binocular_recon.stereo.matching._ncc_kernels import PaddedPair
 
 MID_GREY = 128
 
@@ -27,7 +27,13 @@ def is_whole(image: Array) -> bool:
 
 @kernel
 def lay_out_strip(
-    left: Array, right: Array, steps: int, min_disparity: int, pair: Pair, start: int, stop: int
+    left: Array,
+    right: Array,
+    steps: int,
+    min_disparity: int,
+    pair: PaddedPair,
+    start: int,
+    stop: int,
 ) -> None:
     """Fill rows ``start`` to ``stop`` of ``pair``, the last of which is empty.
 

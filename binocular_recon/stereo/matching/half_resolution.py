@@ -11,7 +11,7 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo.holes._hole_kernels import count_holes, fill_holes
+from binocular_recon.stereo.holes import count_holes, fill_holes
 from binocular_recon.stereo.holes.completion import unexplained_holes
 
 # Texture is weak if a region of this share of the picture has no match and is not hidden.

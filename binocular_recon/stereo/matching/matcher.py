@@ -11,10 +11,12 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._layout import check_pair, lay_out
-from binocular_recon.stereo.matching._ncc_kernels import Selection, score_strip, select_strip
+from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._refinement_kernels import drop_negative, to_steps
+from binocular_recon.stereo.matching._selection_kernels import Selection, select_strip
 from binocular_recon.stereo.matching.consensus import agree, carry_over, members
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
@@ -26,8 +28,6 @@ from binocular_recon.stereo.matching.refinement import smooth
 
 # Disparities are rounded to this step, `delta_d` of a DisparityImage; without sub-pixel it is 1.
 SUBPIXEL_STEP_PX = 1 / 64
-# The standard deviation whose confidence is one half.
-SIGMA_UNIT_PX = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,23 +51,6 @@ class Match:
 def disparity_step_px(config: MatchConfig) -> float:
     """Return the smallest step between disparities, `delta_d` of a DisparityImage."""
     return SUBPIXEL_STEP_PX if config.subpixel else 1.0
-
-
-def confidence_from_sigma(sigma_px: FloatImage) -> FloatImage:
-    """Return 1 / (1 + (sigma / SIGMA_UNIT_PX)^2), 0 where sigma is NaN or infinite."""
-    ratio = np.asarray(sigma_px, np.float32) / np.float32(SIGMA_UNIT_PX)
-    confidence: FloatImage = np.reciprocal(1 + ratio * ratio, dtype=np.float32)
-    confidence[np.isnan(confidence)] = 0
-    return confidence
-
-
-def sigma_from_confidence(confidence: FloatImage) -> FloatImage:
-    """Return the standard deviation of the disparity, px; infinite where confidence is 0."""
-    level = np.asarray(confidence, np.float32)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        variance = np.where(level > 0, 1 / level - 1, np.inf).astype(np.float32)
-    sigma: FloatImage = np.float32(SIGMA_UNIT_PX) * np.sqrt(variance)
-    return sigma
 
 
 def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vectors of 32 numbers for kernels whose inner loops LLVM does not vectorise well by itself.
+
+A short inner loop over slices costs more in bounds and aliasing checks than in arithmetic. These
+operations say directly what is wanted; LLVM maps a vector onto the registers that the machine
+has (one of 32 bytes or two of 16 for ``uint8``). With ``NUMBA_DISABLE_JIT=1`` a vector is a NumPy
+array and the same kernels run as plain Python.
+
+``a + b``, ``a - b``, ``a * b`` work on vectors of one type, ``a / b`` on real ones; integers wrap
+around. `vectors` declares the type, `memory` loads, stores and rearranges, `arithmetic` computes.
+"""
+
+from binocular_recon._simd.arithmetic import (
+    add_saturated,
+    at_most,
+    first_equal,
+    larger,
+    largest,
+    shift_left,
+    shift_right,
+    smaller,
+    smallest,
+    to_int32,
+    to_uint8,
+)
+from binocular_recon._simd.memory import (
+    first_of,
+    last_of,
+    load,
+    load_even,
+    load_odd,
+    slide,
+    splat,
+    store,
+    store_pairs,
+)
+from binocular_recon._simd.vectors import LANES
+
+__all__ = [
+    'LANES',
+    'add_saturated',
+    'at_most',
+    'first_equal',
+    'first_of',
+    'larger',
+    'largest',
+    'last_of',
+    'load',
+    'load_even',
+    'load_odd',
+    'shift_left',
+    'shift_right',
+    'slide',
+    'smaller',
+    'smallest',
+    'splat',
+    'store',
+    'store_pairs',
+    'to_int32',
+    'to_uint8',
+]

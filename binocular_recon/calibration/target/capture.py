@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Marks of one board, seen by both cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from binocular_recon.camera import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """The marks of one board as both cameras saw them.
+
+    Attributes
+    ----------
+    name : str
+        Name of the board, for messages and reports.
+    left_px, right_px : (R, M, 2) float64
+        Image positions x, y of the marks, pixel centres at integers; NaN = not found.
+
+    """
+
+    name: str
+    left_px: FloatArray
+    right_px: FloatArray

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CameraInfo messages as cameras, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.errors import CalibrationError
+from binocular_recon.io.messages.images import assign_array
+
+
+def camera_from_message(info: Any, name: str = 'camera') -> Camera:
+    """Return the camera of a CameraInfo (ROS 2's ``k`` or ROS 1's ``K``).
+
+    Binning and region of interest are applied: the camera is that of the picture as sent.
+
+    Raises
+    ------
+    CalibrationError
+        If the camera is not calibrated or contradicts itself; it begins with ``name``.
+
+    """
+    K, D, R, P = (
+        np.array(getattr(info, key) if hasattr(info, key) else getattr(info, key.upper()), float)
+        for key in 'kdrp'
+    )
+    roi = info.roi
+    binning = np.array([max(1, info.binning_x), max(1, info.binning_y)])
+    offset = np.array([roi.x_offset, roi.y_offset])
+    size = np.array([roi.width or info.width, roi.height or info.height]) // binning
+    if K.size == 9 and P.size == 12:
+        K, P = K.reshape(3, 3), P.reshape(3, 4)
+        for matrix in (K, P):
+            matrix[:2, 2] -= offset
+            matrix[:2] /= binning[:, None]
+    try:
+        return Camera(int(size[0]), int(size[1]), K, D, R, P, info.distortion_model)
+    except CalibrationError as error:
+        raise CalibrationError(f'{name}: {error}') from error
+
+
+def rig_from_messages(left: Any, right: Any) -> StereoRig:
+    """Return the rig of two CameraInfos; raises a CalibrationError that names the camera."""
+    return StereoRig(
+        camera_from_message(left, 'left camera'), camera_from_message(right, 'right camera')
+    )
+
+
+def calibration_content(info: Any) -> tuple[Any, ...]:
+    """Return what a CameraInfo says besides its header, to be compared."""
+    roi = info.roi
+    return (
+        *(np.asarray(getattr(info, member)).tobytes() for member in 'kdrp'),
+        *(info.width, info.height, info.distortion_model, info.binning_x, info.binning_y),
+        *(roi.x_offset, roi.y_offset, roi.width, roi.height),
+    )
+
+
+def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
+    """Fill a CameraInfo message with ``camera``; binning and region of interest stay zero."""
+    message.header = header
+    message.width, message.height = camera.size
+    message.distortion_model = camera.distortion_model
+    for member, values in (('d', camera.D), ('k', camera.K), ('r', camera.R), ('p', camera.P)):
+        assign_array(message, member, np.asarray(values, np.float64).reshape(-1))

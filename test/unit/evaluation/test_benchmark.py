@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark at a size that takes seconds."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from binocular_recon.cli.main import main
+from binocular_recon.config import FilterConfig
+from binocular_recon.evaluation import peers
+from binocular_recon.evaluation.speed import direct_solver as direct
+from binocular_recon.evaluation.speed import probe, stages
+from binocular_recon.evaluation.speed.benchmark import STAGES, Timing, growth, time_stage
+from binocular_recon.evaluation.speed.stages import Bench, Size
+from binocular_recon.stereo.filtering._equations import normal_equations
+from binocular_recon.stereo.pipeline import Chain
+from test import naive_wls
+
+SMALL = Size(128, 96, 16)
+
+
+@pytest.fixture(scope='module')
+def bench() -> Bench:
+    return Bench(SMALL, ['default'])
+
+
+def test_the_contestants_do_the_same_work(bench: Bench) -> None:
+    rectify = stages.rectifying(bench)
+    theirs, ours = (contestant() for contestant in rectify.values())
+    # their maps are rounded to 1/32 px
+    np.testing.assert_allclose(np.asarray(theirs), np.asarray(ours), atol=4)
+    cloud = stages.triangulating(bench)
+    points = np.asarray(cloud['cv2.reprojectImageTo3D']())
+    our_cloud = cloud['triangulate']()
+    np.testing.assert_allclose(our_cloud.points_xyz, points, rtol=1e-4, atol=1e-4)  # type: ignore[attr-defined]
+
+
+def test_every_stage_has_its_peers_first(bench: Bench) -> None:
+    names = {stage: list(contestants(bench)) for stage, contestants in STAGES.items()}
+    assert names['match'] == [
+        'StereoSGBM 5 (3WAY)',
+        'StereoBM 15',
+        'StereoSGBM 5',
+        'default',
+    ]
+    assert names['exact WLS'][-2:] == ['default', 'default, warm']
+    assert ('ximgproc DisparityWLSFilter' in names['exact WLS']) == peers.has_ximgproc()
+    assert names['rectify'][0] == 'cv2.remap'
+    assert names['cloud'][0] == 'cv2.reprojectImageTo3D'
+
+
+def test_recorded_pictures_are_those_that_the_chain_reconstructs() -> None:
+    bench = Bench(Size(320, 240, 32), ['default'])
+    chain = Chain(bench.rig, bench.config('default'))
+    error = chain(*bench.recorded).filtered.disparity_px - bench.pair.disparity_px
+    assert np.mean(np.abs(error) > 1) < 0.1
+
+
+def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    medians = {'peer': 0.2, 'ours': 0.1}
+    monkeypatch.setattr(
+        'binocular_recon.evaluation.speed.benchmark.interleaved',
+        lambda *_args, **_options: medians,
+    )
+    assert time_stage('match', bench, {}, 1) == [
+        Timing('match', '128x96x16', 'peer', 0.2, 1.0),
+        Timing('match', '128x96x16', 'ours', 0.1, 0.5),
+    ]
+
+
+def test_without_the_peer_nothing_is_relative(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    medians = {'default': 0.2, 'default, warm': 0.1}
+    monkeypatch.setattr(
+        'binocular_recon.evaluation.speed.benchmark.interleaved',
+        lambda *_args, **_options: medians,
+    )
+    timings = time_stage('exact WLS', bench, {}, 1)
+    assert all(math.isnan(timing.relative) for timing in timings)
+
+
+def test_growth_is_per_pixel_and_disparity() -> None:
+    sizes = [Size(10, 10, 16), Size(20, 10, 16)]
+    timings = [
+        Timing('match', '10x10x16', 'ours', 1.6e-6, 1.0),
+        Timing('match', '20x10x16', 'ours', 6.4e-6, 1.0),
+        Timing('chain', '20x10x16', 'ours', 1.0, 1.0),
+    ]
+    assert growth(timings, sizes) == {'ours': pytest.approx([1.0, 2.0])}
+
+
+def test_direct_solver_minimises_eq_11() -> None:
+    random = np.random.default_rng(2)
+    data = random.uniform(0, 10, (5, 7)).astype(np.float32)
+    weight = np.where(random.random((5, 7)) < 0.4, 0, random.random((5, 7))).astype(np.float32)
+    data[weight == 0] = np.nan
+    guide = random.uniform(0, 255, (5, 7)).astype(np.float32)
+    config = FilterConfig(
+        wls_lambda=0.3,
+        wls_alpha=1.5,
+        wls_epsilon=1e-3,
+        wls_complete=False,
+        wls_disparity_steps=0.0,
+    )
+    exact = naive_wls.minimiser(
+        data.astype(float),
+        weight.astype(float),
+        naive_wls.log_luminance(guide),
+        0.3,
+        1.5,
+        1e-3,
+    )
+    solution = direct.solve_direct(normal_equations(data, weight, guide, config))
+    np.testing.assert_allclose(solution, exact, atol=1e-4)
+
+
+@pytest.mark.parametrize('preset', ['default', 'paper'])
+def test_our_filter_is_held_against_the_direct_solver(preset: str) -> None:
+    result = direct.compare(Bench(SMALL, [preset]), preset)
+    assert result['largest_error_px'] < FilterConfig().wls_tolerance_px * 2
+    assert result['direct_s'] > 0 and result['filter_s'] > 0
+
+
+def test_peak_memory_counts_what_the_match_allocates() -> None:
+    size = (640, 480, 16)
+    result = probe.peak_memory('default', *size)
+    # at least its two results of 4 bytes per pixel; far less than a volume of float64 would be
+    assert 640 * 480 * 8 / 1e6 < result['peak_mb'] < 100
+    assert result['bytes_per_score'] == pytest.approx(result['peak_mb'] * 1e6 / np.prod(size))
+
+
+def test_first_call_is_measured_in_a_process_of_its_own() -> None:
+    result = probe._in_process('first-call', 'default', *SMALL.numbers)
+    assert 0 < result['second_s'] <= result['first_s'] * 1.5
+    assert 0 < result['import_s'] < 60
+
+
+def test_a_measurement_that_fails_says_why() -> None:
+    with pytest.raises(probe.ProbeError, match=r'memory of preset best failed: .*best'):
+        probe.peak_memory('best', *SMALL.numbers)
+
+
+def test_command_prints_tables_and_writes_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls = {'import_s': 1.0, 'first_s': 2.0, 'second_s': 0.5}
+    # a cold cache means to compile everything: too slow here, and tested above with a warm one
+    monkeypatch.setattr(probe, 'first_call', lambda *_args: {'cold': calls, 'warm': calls})
+    output = tmp_path / 'out'
+    arguments = ['benchmark', '--sizes', '128x96x16', '160x96x32', '--presets', 'default']
+    assert main([*arguments, '--repeat', '1', '--output', str(output)]) == 0
+    printed = capsys.readouterr().out
+    facts = json.loads((output / 'benchmark.json').read_text())
+    assert facts['machine']['cores'] >= 1
+    stages_seen = {(timing['stage'], timing['size']) for timing in facts['results']['timings']}
+    assert stages_seen == {(s, size) for s in STAGES for size in ('128x96x16', '160x96x32')}
+    assert all(timing['seconds'] > 0 for timing in facts['results']['timings'])
+    for title in ('match', 'exact WLS', 'rectify', 'cloud', 'chain', 'peak memory', 'first call'):
+        assert f'\n| {title}' in '\n' + printed
+    assert '| default, cold cache' in printed
+    assert ('no ximgproc' in printed) == (not peers.has_ximgproc())
+
+
+@pytest.mark.parametrize(
+    ('size', 'message'),
+    [
+        ('640x480', "'640x480' is not WIDTHxHEIGHTxDISPARITIES"),
+        ('640x48x16', 'sides must be at least 64 px'),
+        ('640x480x20', 'disparities a multiple of 16'),
+        ('64x480x64', 'more disparities than columns'),
+    ],
+)
+def test_sizes_that_make_no_sense(
+    size: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match='2'):
+        main(['benchmark', '--sizes', size])
+    assert message in capsys.readouterr().err

@@ -1,0 +1,398 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The evaluation on scenes made here, with figures known beforehand."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from binocular_recon.cli.main import main
+from binocular_recon.errors import FileError, ImageError
+from binocular_recon.evaluation import peers, tables
+from binocular_recon.evaluation.accuracy import summary
+from binocular_recon.evaluation.accuracy.methods import (
+    Method,
+    MethodResult,
+    opencv_method,
+    preset_method,
+)
+from binocular_recon.evaluation.accuracy.report import (
+    ERROR_COLOURS,
+    UNFILLED_COLOUR,
+    UNKNOWN_COLOUR,
+    error_map,
+)
+from binocular_recon.evaluation.accuracy.robustness import crop_changes, darkened, exposure_change
+from binocular_recon.evaluation.accuracy.scenes import TruthScene, find_scenes, read_scene
+from binocular_recon.evaluation.accuracy.scoring import Failures, evaluate_scene
+from binocular_recon.evaluation.speed.synthetic import SyntheticPair, synthetic_pair
+from binocular_recon.evaluation.timing import interleaved
+from binocular_recon.images import Image
+from binocular_recon.io.pfm import write_pfm
+
+WIDTH, HEIGHT, RANGE = 200, 120, 32
+FACTS = {'source': 'made by a test', 'max_disparity_px': RANGE}
+METRIC = {**FACTS, 'focal_px': 100.0, 'baseline_m': 0.5, 'principal_point_offset_px': 2.0}
+
+
+@pytest.fixture(scope='module')
+def pair() -> SyntheticPair:
+    return synthetic_pair(WIDTH, HEIGHT, RANGE, seed=5)
+
+
+@pytest.fixture
+def scenes(tmp_path: Path, pair: SyntheticPair) -> Path:
+    """Make a folder with one scene, ``park``."""
+    write_scene(tmp_path / 'scenes' / 'park', pair, METRIC)
+    return tmp_path / 'scenes'
+
+
+def write_scene(folder: Path, pair: SyntheticPair, facts: dict[str, object]) -> None:
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / 'left.png'), pair.left)
+    cv2.imwrite(str(folder / 'right.png'), pair.right)
+    cv2.imwrite(str(folder / 'visible.png'), pair.visible.astype(np.uint8) * 255)
+    write_pfm(folder / 'disparity.pfm', pair.disparity_px)
+    (folder / 'scene.yaml').write_text(yaml.safe_dump(facts), encoding='utf-8')
+
+
+def answering(name: str, answer: Callable[[], MethodResult], *, ours: bool = False) -> Method:
+    return Method(name, lambda *_: answer, ours)
+
+
+def test_synthetic_pair_is_what_it_says(pair: SyntheticPair) -> None:
+    x, y = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT, dtype=np.float32))
+    seen = cv2.remap(pair.right, x - pair.disparity_px, y, cv2.INTER_LINEAR)
+    difference = np.abs(seen.astype(float) - pair.left).mean(axis=2)
+    # both pictures have 1.5 grey levels of noise; the wrong sign or a pixel's shift gives over 15
+    assert np.median(difference[pair.visible]) < 4
+    assert np.median(difference[~pair.visible]) > 10
+    assert 0 <= pair.disparity_px.min() < pair.disparity_px.max() <= RANGE - 1
+    again = synthetic_pair(WIDTH, HEIGHT, RANGE, seed=5)
+    assert np.array_equal(again.right, pair.right)
+
+
+def test_scores_of_known_estimates(scenes: Path) -> None:
+    scene = read_scene(scenes / 'park')
+    truth, visible = scene.truth_px, scene.visible
+    assert visible is not None
+    off_by_one_and_a_half = MethodResult(truth + np.float32(1.5), np.full_like(truth, 0.1))
+    visible_only = MethodResult(np.where(visible, truth, np.nan).astype(np.float32))
+    half = MethodResult(truth + np.float32(0.5), np.full_like(truth, 0.25))
+    methods = [
+        answering('off', lambda: off_by_one_and_a_half, ours=True),
+        answering('StereoSGBM 5 (3WAY)', lambda: visible_only),
+        answering('half', lambda: half, ours=True),
+    ]
+    result = evaluate_scene(scene, methods, repeat=2)
+    off, sparse, half_off = result.scores.scores
+    assert list(off.everywhere.bad_percent) == [100, 0, 0]
+    assert off.everywhere.mean_error_px == pytest.approx(1.5, abs=1e-5)
+    assert off.sigma_rms is not None and np.isnan(off.sigma_rms)  # all are mismatches
+    assert sparse.visible is not None and sparse.occluded is not None
+    assert list(sparse.visible.bad_percent) == [0, 0, 0]
+    assert list(sparse.occluded.bad_percent) == [100, 100, 100]
+    assert sparse.everywhere.density_percent == pytest.approx(100 * visible.mean())
+    assert sparse.sigma_rms is None
+    assert half_off.sigma_rms == pytest.approx(2, abs=1e-4)
+    # f B = 50, o = -2: the bias of 0.5 px brings everything nearer
+    true_m = 50 / (truth + 2)
+    band = (true_m >= 0) & (true_m < 5)
+    expected = np.quantile((true_m - 50 / (truth + 2.5))[band], 0.5, method='higher')
+    assert half_off.depth[0].pixels == band.sum() > 1000
+    assert half_off.depth[0].median_m == pytest.approx(expected, rel=1e-3)
+    assert half_off.depth[0].bias_m < 0
+    mean = summary.mean_over_scenes([result.scores])
+    assert mean[1].relative_time == 1
+    assert mean[2].regions['visible'].mean_error_px == pytest.approx(0.5, abs=1e-5)
+
+
+def test_mean_over_scenes_weighs_scenes_alike(scenes: Path) -> None:
+    scene = read_scene(scenes / 'park')
+    upper = dataclasses.replace(scene, truth_px=np.full_like(scene.truth_px, np.nan))
+    upper.truth_px[:10] = scene.truth_px[:10]
+    good = evaluate_scene(scene, [answering('x', lambda: MethodResult(scene.truth_px))], 1)
+    bad = evaluate_scene(upper, [answering('x', lambda: MethodResult(scene.truth_px + 4))], 1)
+    (mean,) = summary.mean_over_scenes([good.scores, bad.scores])
+    assert list(mean.regions['everywhere'].bad_percent) == [50, 50, 50]
+    assert np.isnan(mean.relative_time)
+
+
+def test_presets_and_opencv_match_the_synthetic_scene(scenes: Path) -> None:
+    scene = read_scene(scenes / 'park')
+    methods = [opencv_method(peers.OpenCvMatcher('sgbm_3way')), preset_method('default')]
+    theirs, ours = evaluate_scene(scene, methods, repeat=1).scores.scores
+    assert theirs.visible is not None and ours.visible is not None
+    assert theirs.visible.bad_percent[1] < 10
+    assert ours.visible.bad_percent[1] < 10
+    assert ours.everywhere.density_percent == 100
+    # padded, StereoSGBM fills the left margin as well
+    padded = opencv_method(peers.OpenCvMatcher('sgbm_3way')).estimate(scene)
+    assert np.isfinite(padded.disparity_px[:, :RANGE]).mean() > 0.3
+    assert padded.disparity_px.shape == (HEIGHT, WIDTH)
+
+
+def test_command_writes_table_json_and_page(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / 'made' / 'out'
+    arguments = ['evaluate', str(scenes), '--output', str(output), '--presets', 'default']
+    options = ['--repeat', '1', '--match-only', '--exposure', '--crop', '--wls-lambda', '0.03']
+    assert main([*arguments, *options]) == 0
+    printed = capsys.readouterr().out
+    facts = json.loads((output / 'evaluation.json').read_text())
+    (scene,) = facts['scenes']
+    names = [score['method'] for score in scene['scores']]
+    expected = [matcher.name for matcher in peers.opencv_matchers()]
+    assert names == [*expected, 'default, match only', 'default']
+    assert facts['options'] == {'wls_lambda': 0.03}
+    assert facts['machine']['versions']['opencv'] == cv2.__version__
+    assert scene['visible_source'] == 'visible.png'
+    mean = facts['mean'][-1]['regions']['everywhere']
+    row = next(line for line in printed.splitlines() if line.startswith('| default '))
+    assert [float(cell) for cell in row.split('|')[2:5]] == pytest.approx(
+        mean['bad_percent'], abs=0.051
+    )
+    assert ('no ximgproc' in printed) == (not peers.has_ximgproc())
+    assert {entry['method'] for entry in facts['exposure']} == set(names)
+    assert {entry['depth_px'] for entry in facts['crop']} >= {0, 4, 8}
+    page = (output / 'evaluation.html').read_text(encoding='utf-8')
+    # picture, ground truth, an error map each and a disparity map for each of ours
+    assert page.count('<img') == page.count('data:image/') == 2 + len(names) + 2
+    assert 'http://' not in page and 'https://' not in page
+
+
+def test_a_broken_scene_does_not_stop_the_others(
+    scenes: Path, pair: SyntheticPair, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_scene(scenes / 'broken', pair, FACTS)
+    (scenes / 'broken' / 'disparity.pfm').write_bytes(b'Pf\n200 120\n-1\nshort')
+    output = tmp_path / 'out'
+    arguments = ['evaluate', str(scenes), '--output', str(output), '--presets', 'default']
+    assert main([*arguments, '--no-peers', '--repeat', '1']) == 1
+    captured = capsys.readouterr()
+    assert 'broken/disparity.pfm is damaged' in captured.err
+    assert 'Not evaluated (1 of 2): broken.' in captured.out
+    facts = json.loads((output / 'evaluation.json').read_text())
+    assert [scene['scene'] for scene in facts['scenes']] == ['park']
+    assert list(facts['failures']) == ['broken']
+
+
+def test_interrupted_evaluation_reports_what_is_finished(
+    scenes: Path,
+    pair: SyntheticPair,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_scene(scenes / 'square', pair, FACTS)
+
+    def read_until_square(folder: Path) -> TruthScene:
+        if folder.name == 'square':
+            raise KeyboardInterrupt
+        return read_scene(folder)
+
+    monkeypatch.setattr('binocular_recon.cli.evaluate.read_scene', read_until_square)
+    output = tmp_path / 'out'
+    arguments = ['evaluate', str(scenes), '--output', str(output), '--presets', 'default']
+    assert main([*arguments, '--no-peers', '--repeat', '1']) == 130
+    assert f'interrupted; 1 of 2 scenes are in {output}' in capsys.readouterr().err
+    facts = json.loads((output / 'evaluation.json').read_text())
+    assert [scene['scene'] for scene in facts['scenes']] == ['park']
+
+
+def test_nothing_to_evaluate_is_wrong_usage(
+    scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['evaluate', str(scenes), '--no-peers', '--presets', '']) == 2
+    assert 'nothing to evaluate: name a preset' in capsys.readouterr().err
+
+
+def test_several_broken_scenes_are_all_named() -> None:
+    failures = Failures()
+    for name in ('one', 'two'):
+        with failures.of(name):
+            raise FileError(f'{name}/scene.yaml is missing')
+    with pytest.raises(FileError, match=r'2 of 5 scenes .*one/scene.yaml is.*two/scene.yaml'):
+        failures.raise_if_any(5)
+
+
+def test_scene_folders_are_found(scenes: Path, tmp_path: Path) -> None:
+    assert [path.name for path in find_scenes(scenes)] == ['park']
+    assert find_scenes(scenes / 'park') == [scenes / 'park']
+    assert find_scenes(scenes, ['park']) == [scenes / 'park']
+    with pytest.raises(FileError, match=r'has no scene lake; it has park'):
+        find_scenes(scenes, ['lake'])
+    with pytest.raises(FileError, match=r'holds no scene folder; a scene has left\.png'):
+        find_scenes(tmp_path)
+    with pytest.raises(FileError, match='is no folder'):
+        find_scenes(tmp_path / 'absent')
+
+
+@pytest.mark.parametrize(
+    ('facts', 'message'),
+    [
+        ({'source': 'x'}, r'park/scene\.yaml lacks max_disparity_px'),
+        ({'max_disparity_px': 'many'}, r"max_disparity_px must be a number, got 'many'"),
+        ({'max_disparity_px': 0}, 'max_disparity_px must be positive, got 0'),
+        ({**METRIC, 'baseline_m': -0.5}, r'baseline_m must be positive, got -0\.5'),
+        ({**METRIC, 'focal_px': float('nan')}, 'focal_px must be a number, got nan'),
+    ],
+)
+def test_bad_facts_are_named(scenes: Path, facts: dict[str, object], message: str) -> None:
+    (scenes / 'park' / 'scene.yaml').write_text(yaml.safe_dump(facts), encoding='utf-8')
+    with pytest.raises(FileError, match=message):
+        read_scene(scenes / 'park')
+
+
+def test_damaged_and_missing_files_are_named(scenes: Path) -> None:
+    (scenes / 'park' / 'scene.yaml').write_text('a: [', encoding='utf-8')
+    with pytest.raises(FileError, match=r'scene\.yaml cannot be read as YAML'):
+        read_scene(scenes / 'park')
+    (scenes / 'park' / 'scene.yaml').unlink()
+    with pytest.raises(FileError, match=r'scene\.yaml is missing'):
+        read_scene(scenes / 'park')
+
+
+@pytest.mark.parametrize('name', ['right.png', 'visible.png'])
+def test_sizes_that_differ_are_named(scenes: Path, pair: SyntheticPair, name: str) -> None:
+    cv2.imwrite(str(scenes / 'park' / name), pair.left[:-2])
+    with pytest.raises(ImageError, match=f'park/{name} is 200x118 px, left.png is 200x120 px'):
+        read_scene(scenes / 'park')
+
+
+def test_a_method_that_refuses_a_scene_is_named(scenes: Path) -> None:
+    def refuse() -> MethodResult:
+        raise ImageError('too small')
+
+    with pytest.raises(ImageError, match='scene park, picky: too small'):
+        evaluate_scene(read_scene(scenes / 'park'), [answering('picky', refuse)], 1)
+
+
+def test_visibility_is_derived_from_dense_truth_only(scenes: Path, pair: SyntheticPair) -> None:
+    (scenes / 'park' / 'visible.png').unlink()
+    scene = read_scene(scenes / 'park')
+    assert scene.visible_source == 'ground truth'
+    assert scene.visible is not None
+    assert np.mean(scene.visible == pair.visible) > 0.97
+    sparse = np.where(np.arange(WIDTH) % 3 == 0, pair.disparity_px, np.nan).astype(np.float32)
+    write_pfm(scenes / 'park' / 'disparity.pfm', sparse)
+    scene = read_scene(scenes / 'park')
+    assert scene.visible is None
+    result = evaluate_scene(
+        scene, [answering('truth', lambda: MethodResult(pair.disparity_px))], 1
+    )
+    assert result.scores.scores[0].occluded is None
+
+
+def test_ximgproc_rows_need_ximgproc(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, 'has_ximgproc', lambda: False)
+    plain = ['StereoBM 15', 'StereoSGBM 5 (3WAY)', 'StereoSGBM 5 (HH)']
+    assert [matcher.name for matcher in peers.opencv_matchers()] == plain
+    monkeypatch.setattr(peers, 'has_ximgproc', lambda: True)
+    names = [matcher.name for matcher in peers.opencv_matchers()]
+    assert set(names) - set(plain) == {
+        'StereoBM 15 + WLS',
+        'StereoSGBM 5 (3WAY) + WLS',
+        'StereoSGBM 5 (3WAY) + WLS 800',
+        'StereoSGBM 5 (HH) + WLS',
+    }
+
+
+def test_pictures_for_opencv() -> None:
+    deep = np.array([[0, 257, 65535, 385]], np.uint16)
+    assert peers.to_bytes(deep).tolist() == [[0, 1, 255, 1]]
+    assert peers.to_guide(deep).shape == (1, 4, 3)
+    assert peers.padded(deep, 2).tolist() == [[0, 0, 0, 257, 65535, 385]]
+    fixed = np.array([[0, 0, -16, 40]], np.int16)
+    np.testing.assert_array_equal(peers.from_fixed_point(fixed, 1), [[0, np.nan, 2.5]])
+
+
+def test_exposure_change(scenes: Path) -> None:
+    scene = read_scene(scenes / 'park')
+    dark = darkened(scene)
+    assert np.array_equal(dark.right, np.rint(scene.right * 0.6 + 20).astype(np.uint8))
+    assert dark.left is scene.left
+
+    def prepare(_: Image, right: Image, __: int) -> Callable[[], MethodResult]:
+        shift = 0.0 if np.array_equal(right, scene.right) else 5.0
+        return lambda: MethodResult(scene.truth_px + np.float32(shift))
+
+    change = exposure_change(scene, Method('fragile', prepare))
+    assert (change.bad_percent, change.changed_bad_percent) == (0, 100)
+    table = summary.exposure_table([change])
+    assert '+100.0' in table
+
+
+def test_crop_changes_by_depth(scenes: Path) -> None:
+    scene = read_scene(scenes / 'park')
+
+    def prepare(left: Image, _: Image, __: int) -> Callable[[], MethodResult]:
+        # a method whose result near the border of the picture depends on where that border is
+        values = np.zeros(left.shape[:2], np.float32)
+        values[:6] = 3.0
+        return lambda: MethodResult(values)
+
+    changes = {c.depth_px: c for c in crop_changes(scene, Method('global', prepare))}
+    assert changes[0].largest_px == changes[4].largest_px == 3.0
+    assert changes[8].largest_px == 0.0
+    assert set(changes) == {0, 4, 8, 16, 32}  # deeper than that nothing is left of the crop
+
+
+def test_matching_does_not_depend_on_the_cut(scenes: Path) -> None:
+    from binocular_recon.evaluation.accuracy.methods import match_method
+
+    scene: TruthScene = read_scene(scenes / 'park')
+    changes = crop_changes(scene, match_method('paper'))
+    inside = [change for change in changes if change.depth_px >= 8]
+    assert inside
+    for change in inside:
+        assert change.largest_px == 0
+
+
+def test_error_map_by_hand() -> None:
+    truth = np.array([[10, 10, 10, np.nan, 10, 10]], np.float32)
+    estimate = np.array([[10, 11, 11.5, 10, np.nan, 30]], np.float32)
+    expected = [
+        ERROR_COLOURS[0],
+        ERROR_COLOURS[2],  # an error of 1 px is not above 1 px
+        ERROR_COLOURS[3],
+        UNKNOWN_COLOUR,
+        UNFILLED_COLOUR,
+        ERROR_COLOURS[-1],
+    ]
+    assert error_map(estimate, truth)[0, :, ::-1].tolist() == [list(colour) for colour in expected]
+
+
+def test_interleaved_takes_turns_and_returns_medians(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns: list[str] = []
+    clock = iter([0.0, 0.0, 1.0, 1.0, 3.0, 10.0, 15.0, 20.0, 21.0, 30.0, 32.0, 40.0, 43.0])
+    monkeypatch.setattr('time.perf_counter', lambda: next(clock))
+    contestants = {'a': lambda: turns.append('a'), 'b': lambda: turns.append('b')}
+    assert interleaved(contestants, repeat=3, warm_up=0) == {'a': 2.0, 'b': 2.0}
+    assert turns == ['a', 'b'] * 3
+
+
+def test_interleaved_stops_when_time_is_up() -> None:
+    turns: list[str] = []
+    interleaved({'a': lambda: turns.append('a')}, repeat=50, warm_up=1, limit_s=0.0)
+    assert len(turns) == 4  # the warm-up and the least number of rounds
+
+
+def test_tables_are_markdown() -> None:
+    table = tables.markdown_table(['name', 'x'], [['a', '1.0'], ['longer', '22.0']])
+    assert table.splitlines() == [
+        '| name   |    x |',
+        '|--------|-----:|',
+        '| a      |  1.0 |',
+        '| longer | 22.0 |',
+    ]
+    assert tables.figure(float('nan')) == tables.figure(None) == '-'
+    assert tables.figure(float('inf')) == 'none'

@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Filter: against the reference values and naive twins, its uncertainty, and bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from binocular_recon.config import ChainConfig, FilterConfig
+from binocular_recon.errors import ImageError
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo.confidence import confidence_from_sigma
+from binocular_recon.stereo.filtering.wls_filter import (
+    LEAST_SIGMA_PX,
+    LIMIT_MARGIN_PX,
+    DisparityFilter,
+    Filtered,
+    filter_disparity,
+)
+from binocular_recon.stereo.holes.completion import complete
+from test import naive_wls
+
+pytestmark = pytest.mark.kernel
+
+REFERENCE = np.load(Path(__file__).parents[2] / 'data' / 'wls.npz')
+LIMITS_PX = (0.0, 64.0)
+# eq. 13 as it stands
+PLAIN = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, wls_tolerance_px=2e-4)
+NAN = np.float32(np.nan)
+
+
+def scene(
+    seed: int, shape: tuple[int, int] = (20, 28)
+) -> tuple[FloatImage, FloatImage, FloatImage]:
+    """Return disparity with gaps, confidence and guide of a box before a wall."""
+    rng = np.random.default_rng(seed)
+    disparity = np.full(shape, 12.0)
+    guide = np.full(shape, 90.0)
+    disparity[5:15, 8:18], guide[5:15, 8:18] = 30.0, 180.0
+    disparity += rng.normal(0, 0.2, shape)
+    guide += rng.normal(0, 4, shape)
+    disparity[rng.random(shape) < 0.2] = np.nan
+    confidence = rng.uniform(0.1, 1, shape)
+    return disparity.astype(np.float32), confidence.astype(np.float32), guide.astype(np.float32)
+
+
+def run(
+    disparity: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage,
+    config: FilterConfig = PLAIN,
+    **options: Any,
+) -> Filtered:
+    return filter_disparity(
+        disparity, confidence, guide, config, **{'limits_px': LIMITS_PX, **options}
+    )
+
+
+def difference(a: Filtered, b: Filtered) -> float:
+    return float(np.abs(a.disparity_px - b.disparity_px).max())
+
+
+def reference(name: str) -> FloatImage:
+    return np.asarray(REFERENCE[name], np.float32)
+
+
+def test_reference_with_confidence() -> None:
+    images = reference('disparity'), reference('confidence'), reference('guide')
+    filtered = run(*images)
+    assert filtered.disparity_px.dtype == filtered.sigma_px.dtype == np.float32
+    assert np.abs(filtered.disparity_px - REFERENCE['weighted']).max() <= 1e-3
+
+
+def test_reference_of_the_paper() -> None:
+    """Unit weights whatever the confidence says."""
+    config = ChainConfig.preset('paper', wls_tolerance_px=2e-4).filter
+    confidence = np.full((48, 64), 0.3, np.float32)
+    filtered = run(reference('disparity'), confidence, reference('guide'), config)
+    assert np.abs(filtered.disparity_px - REFERENCE['paper']).max() <= 1e-3
+
+
+def test_disparity_as_guide() -> None:
+    """Y = (b - min) / (max - min); without a match, b is the nearest in the row."""
+    disparity, confidence, guide = scene(0)
+    config = ChainConfig.preset('paper', wls_guide='disparity', wls_tolerance_px=2e-4).filter
+    data = disparity.copy()
+    for row in data:
+        valid = np.flatnonzero(np.isfinite(row))
+        for x in np.flatnonzero(np.isnan(row)):
+            row[x] = row[valid[np.abs(valid - x).argmin()]]
+    luminance = (data - data.min()) / (data.max() - data.min())
+    expected = naive_wls.minimiser(
+        data.astype(float),
+        np.ones(data.shape),
+        naive_wls.log_luminance(luminance.astype(float) * 255),
+        0.35,
+        1.8,
+        1e-4,
+    )
+    filtered = run(disparity, confidence, np.full_like(guide, NAN), config)
+    assert np.abs(filtered.disparity_px - expected).max() <= 1e-3
+
+
+def test_rows_without_a_match_take_the_nearest_row() -> None:
+    disparity, confidence, guide = scene(1)
+    disparity[:3] = np.nan
+    config = ChainConfig.preset('paper').filter
+    filled = disparity.copy()
+    filled[:3] = filled[3]
+    assert (
+        difference(
+            run(disparity, confidence, guide, config), run(filled, confidence, guide, config)
+        )
+        < 0.03
+    )
+
+
+def test_completion_and_steps() -> None:
+    """Both departures from eq. 12-13 against the naive twin."""
+    disparity, confidence, guide = scene(2)
+    config = FilterConfig(wls_tolerance_px=2e-4)
+    data, weight = complete(disparity, np.where(np.isfinite(disparity), confidence, 0))
+    links = naive_wls.links(naive_wls.log_luminance(guide), 0.02, 1.2, 1e-4)
+    for axis, link in zip((1, 0), links, strict=True):
+        step = np.diff(data.astype(float), axis=axis)
+        link[:] = 0.02 / (0.02 / link + config.wls_disparity_steps * step**2)
+    expected = naive_wls.solution(data, weight, *links)
+    filtered = run(disparity, confidence, guide, config)
+    assert np.abs(filtered.disparity_px - expected).max() <= 1e-3
+
+
+def test_a_border_without_contrast_stays() -> None:
+    """A box of the wall's own grey: eq. 12 alone smooths over its border."""
+    disparity, confidence, guide = scene(3, (40, 48))
+    guide[:] = 120
+    box = np.zeros(guide.shape, bool)
+    box[5:15, 8:18] = True
+
+    def error(config: FilterConfig) -> float:
+        filtered = run(disparity, confidence, guide, config)
+        return float(np.abs(filtered.disparity_px - np.where(box, 30, 12)).mean())
+
+    assert error(FilterConfig()) < 0.3
+    assert error(PLAIN) > 1.0
+
+
+def test_what_is_no_measurement() -> None:
+    """NaN, infinite, outside the limits, confidence 0 or NaN: all the same."""
+    disparity, confidence, guide = scene(4)
+    ways: list[tuple[Any, Any]] = [
+        (np.nan, 0.5),
+        (np.inf, 0.5),
+        (-np.inf, 0.5),
+        (70.0, 0.5),
+        (-1.0, 0.5),
+        (20.0, 0.0),
+        (20.0, np.nan),
+        (20.0, -1.0),
+    ]
+    results = []
+    for value, level in ways:
+        bad_disparity, bad_confidence = disparity.copy(), confidence.copy()
+        bad_disparity[6:9, 4:20], bad_confidence[6:9, 4:20] = value, level
+        results.append(run(bad_disparity, bad_confidence, guide, FilterConfig()))
+    for other in results[1:]:
+        np.testing.assert_array_equal(results[0].disparity_px, other.disparity_px)
+        np.testing.assert_array_equal(results[0].sigma_px, other.sigma_px)
+
+
+def test_confidence_above_one_counts_as_one() -> None:
+    disparity, _, guide = scene(5)
+    one = np.ones_like(disparity)
+    assert difference(run(disparity, one, guide), run(disparity, 9 * one, guide)) == 0
+
+
+@pytest.mark.parametrize('config', [PLAIN, FilterConfig(), ChainConfig.preset('paper').filter])
+def test_one_measured_pixel(config: FilterConfig) -> None:
+    disparity = np.full((9, 12), NAN)
+    disparity[4, 7] = 17.25
+    guide = np.random.default_rng(6).uniform(0, 255, (9, 12)).astype(np.float32)
+    filtered = run(disparity, np.ones_like(disparity), guide, config)
+    np.testing.assert_allclose(filtered.disparity_px, 17.25, atol=0.02)
+    assert filtered.sigma_px[0, 0] > filtered.sigma_px[4, 7]
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (1, 40), (40, 1), (2, 3), (5, 5), (1, 2)])
+@pytest.mark.parametrize('config', [PLAIN, FilterConfig()])
+def test_thin_pictures(shape: tuple[int, int], config: FilterConfig) -> None:
+    rng = np.random.default_rng(7)
+    disparity = rng.uniform(5, 60, shape).astype(np.float32)
+    guide = rng.uniform(0, 255, shape).astype(np.float32)
+    filtered = run(disparity, np.full(shape, 0.7, np.float32), guide, config)
+    assert np.isfinite(filtered.disparity_px).all() and np.isfinite(filtered.sigma_px).all()
+    if config is PLAIN:
+        links = naive_wls.links(naive_wls.log_luminance(guide), 0.02, 1.2, 1e-4)
+        expected = naive_wls.solution(disparity, np.full(shape, 0.7), *links)
+        assert np.abs(filtered.disparity_px - expected).max() <= 1e-3
+
+
+def test_no_picture_is_no_edge() -> None:
+    """The border that rectification leaves: smooth, not cut off."""
+    disparity, confidence, guide = scene(8)
+    guide[:, :4] = np.nan
+    disparity[:, :4] = np.nan
+    filtered = run(disparity, confidence, guide)
+    np.testing.assert_allclose(filtered.disparity_px[:, 0], filtered.disparity_px[:, 4], atol=0.2)
+
+
+@pytest.mark.parametrize('limits', [(0.0, 64.0), (-500.0, 1500.0), (2000.0, 4095.0)])
+def test_strictly_inside_the_limits(limits: tuple[float, float]) -> None:
+    low, high = (np.float32(limit) for limit in limits)
+    disparity = np.where(np.indices((16, 20)).sum(axis=0) % 20 < 10, low, high).astype(np.float32)
+    ones = np.ones_like(disparity)
+    for guide in (disparity, 100 * ones):
+        result = run(disparity, ones, guide, FilterConfig(), limits_px=limits).disparity_px
+        for offset in (np.float32(-32.778), np.float32(0), np.float32(32.778)):
+            assert (result - offset > low - offset).all()
+            assert (result - offset < high - offset).all()
+
+
+def test_limits_without_room() -> None:
+    ones = np.ones((4, 4), np.float32)
+    filtered = run(5 * ones, ones, ones, limits_px=(5.0, 5.0))
+    np.testing.assert_array_equal(filtered.disparity_px, 5)
+    narrow = (5.0, 5.0 + LIMIT_MARGIN_PX)
+    middle = run(5 * ones, ones, ones, limits_px=narrow).disparity_px
+    assert ((middle > narrow[0]) & (middle < narrow[1])).all()
+
+
+def test_last_frames_result_as_first_guess() -> None:
+    disparity, confidence, guide = scene(9, (40, 50))
+    cold = run(disparity, confidence, guide)
+    warm = run(disparity, confidence, guide, initial=cold.disparity_px)
+    assert warm.iterations < cold.iterations
+    assert difference(cold, warm) <= 1e-3
+    holes = cold.disparity_px.copy()
+    holes[3, 4] = np.nan  # of no use, and no harm
+    assert difference(cold, run(disparity, confidence, guide, initial=holes)) == 0
+
+
+def test_frames_do_not_leave_anything_behind() -> None:
+    """Memory is used again: after any other frame, and of any size, the result is the same."""
+    wls = DisparityFilter(FilterConfig())
+    for seed, shape in ((11, (20, 28)), (12, (20, 28)), (13, (33, 7)), (14, (20, 28))):
+        frame = scene(seed, shape)
+        again, fresh = wls(*frame, limits_px=LIMITS_PX), run(*frame, config=FilterConfig())
+        np.testing.assert_array_equal(again.disparity_px, fresh.disparity_px)
+        np.testing.assert_array_equal(again.sigma_px, fresh.sigma_px)
+
+
+@pytest.mark.large
+def test_video_starts_from_the_last_frame() -> None:
+    """Same result within the tolerance, sooner; another size or scene does no harm."""
+    options: dict[str, Any] = {'wls_lambda': 20.0, 'wls_tolerance_px': 1e-3}
+    config = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, **options)
+    video = DisparityFilter(dataclasses.replace(config, wls_video=True))
+    first, other = scene(15, (60, 70)), scene(16, (60, 70))
+    noise = np.random.default_rng(17).normal(0, 0.002, (60, 70)).astype(np.float32)
+    noisy: FloatImage = first[0] + noise
+    next_frame = (noisy, first[1], first[2])
+    iterations = []
+    for frame in (first, next_frame, other, scene(18, (31, 20)), first):
+        cold, warm = run(*frame, config=config), video(*frame, limits_px=LIMITS_PX)
+        assert difference(cold, warm) <= 2 * config.wls_tolerance_px
+        assert warm.iterations <= cold.iterations + 1
+        iterations.append((cold.iterations, warm.iterations))
+    assert iterations[1][1] < iterations[1][0]
+
+
+@pytest.mark.large
+def test_frames_from_two_threads() -> None:
+    wls = DisparityFilter(FilterConfig())
+    frames = [scene(seed, (40, 50)) for seed in range(20, 28)]
+    with ThreadPoolExecutor(2) as pool:
+        results = list(pool.map(lambda frame: wls(*frame, limits_px=LIMITS_PX), frames))
+    for frame, result in zip(frames, results, strict=True):
+        np.testing.assert_array_equal(
+            result.disparity_px, run(*frame, config=FilterConfig()).disparity_px
+        )
+
+
+def test_sigma_follows_match_scatter_and_hole() -> None:
+    rng = np.random.default_rng(10)
+    shape = (60, 90)
+    guide = np.full(shape, 100, np.float32)
+    disparity = np.full(shape, 20, np.float32)
+    sigma = np.full(shape, 0.1, np.float32)
+    sigma[:, 45:] = 0.4
+    disparity += (sigma * rng.normal(size=shape)).astype(np.float32)
+    disparity[20:40, 60:80] = np.nan
+    result = run(disparity, confidence_from_sigma(sigma), guide, FilterConfig()).sigma_px
+    steady, noisy, hole = result[10:50, 5:35], result[5:15, 60:80], result[28:32, 68:72]
+    assert 0.1 < np.median(steady) < 0.25
+    assert 0.4 < np.median(noisy) < 0.8
+    assert np.median(hole) > 1
+    assert hole.min() > 1.5 * result[15:19, 65:75].max()
+    assert (result >= LEAST_SIGMA_PX).all()
+
+
+def test_whole_pixels_are_not_surer_than_their_rounding() -> None:
+    """A plane between 20.0 and 20.45 px, rounded to 20: no scatter shows what is lost."""
+    ones, guide = np.ones((30, 40), np.float32), np.full((30, 40), 100, np.float32)
+    plane = (20 + 0.45 * np.arange(40) / 40 * ones).astype(np.float32)
+    whole = run(np.rint(plane), ones, guide, FilterConfig())
+    normalised = (whole.disparity_px - plane) / whole.sigma_px
+    assert 0.7 < np.sqrt(np.mean(normalised**2)) < 1.4
+    assert run(plane, ones, guide, FilterConfig()).sigma_px.max() < 0.2
+    shifted = np.rint(plane) - np.float32(32.778) + np.float32(32.778)  # through a message
+    assert run(shifted, ones, guide, FilterConfig()).sigma_px.min() > 0.28
+
+
+def test_a_hole_between_far_and_near_is_less_sure() -> None:
+    disparity = np.full((30, 60), 10, np.float32)
+    ones, guide = np.ones_like(disparity), np.full_like(disparity, 100)
+    disparity[:, 20:30] = np.nan
+    even = run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25]
+    disparity[:, 30:] = 30
+    assert run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25] > even + 2
+
+
+def test_nothing_to_filter() -> None:
+    nothing = np.full((4, 5), NAN)
+    message = r'no pixel has a disparity within 0\.\.64 px and a confidence above 0; check'
+    with pytest.raises(ImageError, match=message):
+        run(nothing, np.ones_like(nothing), nothing)
+    with pytest.raises(ImageError, match=message):
+        run(np.ones_like(nothing), np.zeros_like(nothing), nothing)
+
+
+@pytest.mark.parametrize('name', ['confidence', 'guide', 'initial'])
+def test_sizes_differ(name: str) -> None:
+    image = np.ones((4, 5), np.float32)
+    images = {'confidence': image, 'guide': image, 'initial': image, name: image.T}
+    with pytest.raises(ImageError, match=rf'disparity is \(4, 5\) and {name} \(5, 4\)'):
+        run(image, images['confidence'], images['guide'], initial=images['initial'])
+
+
+@pytest.mark.parametrize('shape', [(0, 5), (5,), (2, 3, 1)])
+def test_no_picture(shape: tuple[int, ...]) -> None:
+    image = np.ones(shape, np.float32)
+    with pytest.raises(ImageError, match='disparity must be'):
+        run(image, image, image)
