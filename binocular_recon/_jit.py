@@ -7,11 +7,12 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy.typing as npt
+
+from binocular_recon._kernel_cache import watch_cache
 
 F = TypeVar('F', bound=Callable[..., Any])
 Array = npt.NDArray[Any]  # of a kernel, whose compiler finds the type
@@ -45,27 +46,8 @@ def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F
         forceinline=forceinline,
     )
     compiled: Any = decorate(function)
-    # Numba looks for changes in the function's own file only, but kernels of other files are
-    # compiled into it. (Where JIT is disabled nothing is cached.)
-    cached = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
-    if cached is not None:
-        stamp = kernels_stamp(Path(function.__code__.co_filename).parent)
-        cached._source_stamp = (cached._source_stamp, stamp)  # noqa: SLF001
+    watch_cache(compiled, function)
     return cast('F', compiled)
-
-
-@cache
-def kernels_stamp(folder: Path) -> tuple[tuple[float, int], ...]:
-    """Return the times and sizes of all files whose kernels may call each other.
-
-    These are all kernel files of this package, in whatever folder, and for a kernel that somebody
-    else has written those beside it too.
-    """
-    package = Path(__file__).parent
-    files = {*package.rglob('_*_kernels.py'), *package.glob('_simd/*.py'), Path(__file__)}
-    files |= set(folder.glob('_*_kernels.py'))
-    stats = [file.stat() for file in sorted(files)]
-    return tuple((stat.st_mtime, stat.st_size) for stat in stats)
 
 
 def thread_count() -> int:

@@ -16,14 +16,8 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch_ros.actions import Node
 
-from binocular_recon.config import (
-    CloudConfig,
-    FilterConfig,
-    MatchConfig,
-    Options,
-    OptionValue,
-    check_option,
-)
+from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.options import Options, OptionValue, check_option
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,

@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from binocular_recon import _jit
+from binocular_recon import _jit, _kernel_cache
 
 NO_CACHES = shutil.ignore_patterns('__pycache__')
 INNER = """
@@ -53,13 +54,40 @@ def test_a_kernel_is_compiled_again_if_one_that_it_calls_changes(
     for value in (1, 22, 22):
         inner.write_text(INNER.format(value))
         os.utime(inner, (value, value))
-        _jit.kernels_stamp.cache_clear()
+        _kernel_cache.kernels_stamp.cache_clear()
         load(inner)
         kernel = load(outer).outer
         found.append(kernel())
         hits.append(sum(kernel.stats.cache_hits.values()))
     assert found == [1, 22, 22]
     assert hits == [0, 0, 1]
+
+
+@pytest.mark.parametrize('damage', ['cut index', 'cut data', 'unknown class'])
+def test_a_damaged_cache_is_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    inner = tmp_path / '_inner_kernels.py'
+    inner.write_text(INNER.format(5))
+    monkeypatch.delitem(sys.modules, inner.stem, raising=False)
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
+    assert load(inner).inner() == 5
+    pattern = '*.nbc' if damage == 'cut data' else '*.nbi'
+    (file,) = tmp_path.rglob(pattern)
+    content = file.read_bytes()
+    if damage == 'unknown class':
+        version = pickle.loads(content)
+        content = pickle.dumps(version) + b'cmissing_module\nmissing\n.'
+    else:
+        content = content[: len(content) // 2]
+    file.write_bytes(content)
+    again = load(inner).inner
+    assert again() == 5
+    assert not again.stats.cache_hits
+    once_more = load(inner).inner
+    assert once_more() == 5
+    assert once_more.stats.cache_hits
 
 
 CROSSING = """

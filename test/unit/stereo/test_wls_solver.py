@@ -15,7 +15,7 @@ from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
 from binocular_recon.stereo.filtering import _transfer_kernels as transfers
-from binocular_recon.stereo.filtering import _wls_solver
+from binocular_recon.stereo.filtering import _grids
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._lattice_kernels import PAD
 from binocular_recon.stereo.filtering._wls_solver import System
@@ -234,7 +234,7 @@ def test_strips_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut into strips, the smoother takes hardly more iterations."""
     equations = picture_equations((300, 150), np.random.default_rng(7), DEFAULT, unit=False)
     whole = equations.system.solve(equations.data, TOLERANCE_PX)
-    monkeypatch.setattr(_wls_solver, '_NODES_PER_STRIP', 2000)
+    monkeypatch.setattr(_grids, '_NODES_PER_STRIP', 2000)
     system = equations.system
     assert len(system._black.lattice.factors) > 10
     solved = system.solve(equations.data, TOLERANCE_PX)
@@ -243,7 +243,7 @@ def test_strips_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_number_of_threads_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_wls_solver, '_NODES_PER_STRIP', 2000)
+    monkeypatch.setattr(_grids, '_NODES_PER_STRIP', 2000)
     equations = picture_equations((300, 160), np.random.default_rng(8), PAPER, unit=True)
     results = []
     for threads in (1, 2, 5):
