@@ -17,7 +17,6 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch_ros.actions import Node
 
 from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
-from binocular_recon.options import Options, OptionValue, check_option
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
@@ -26,6 +25,7 @@ from binocular_recon.nodes.runtime.options import (
     QueueOptions,
     RectifyOptions,
 )
+from binocular_recon.options import Options, OptionValue, check_option
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')

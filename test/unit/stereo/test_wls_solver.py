@@ -14,8 +14,8 @@ from binocular_recon import _jit
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.stereo.filtering import _transfer_kernels as transfers
 from binocular_recon.stereo.filtering import _grids
+from binocular_recon.stereo.filtering import _transfer_kernels as transfers
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._lattice_kernels import PAD
 from binocular_recon.stereo.filtering._wls_solver import System
