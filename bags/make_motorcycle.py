@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Make the bag and the ground truth of this folder from the Middlebury pictures.
+"""Make the bag and the ground truth in this folder from the Middlebury images.
 
 Needs a folder with left.png, right.png, disparity.pfm and visible.png of the scene Motorcycle at
-quarter size (741x497); README.md says where they come from.
+quarter size (741x497); README.md gives their source.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from binocular_recon.io.pfm import read_pfm
 
 HERE = Path(__file__).resolve().parent
 
-# calib.txt of the quarter-size scene; the pictures are rectified already.
+# calib.txt of the quarter-size scene; its images are already rectified.
 FOCAL_PX = 999.421
 LEFT_CX_PX, RIGHT_CX_PX, CY_PX = 294.182, 326.96, 252.932
 BASELINE_M = 0.193001
 WIDTH, HEIGHT = 741, 497
 
-# Middlebury gives no time; any will do that is not zero.
+# Middlebury gives no time; any value except zero will do.
 STAMP_NS = 1_400_000_000_000_000_000
 
 
 def rig() -> StereoRig:
-    """Return the calibration of the pictures."""
+    """Return the calibration of the images."""
     cameras = []
     for cx_px, baseline_m in ((LEFT_CX_PX, 0.0), (RIGHT_CX_PX, BASELINE_M)):
         K = np.array([[FOCAL_PX, 0, cx_px], [0, FOCAL_PX, CY_PX], [0, 0, 1]])
@@ -43,7 +43,7 @@ def rig() -> StereoRig:
 
 
 def make(scene: Path, output: Path) -> None:
-    """Write ``motorcycle`` and ``motorcycle_truth`` into ``output``, replacing old ones."""
+    """Write ``motorcycle`` and ``motorcycle_truth`` to ``output``, replacing old ones."""
     bag, truth = output / 'motorcycle', output / 'motorcycle_truth'
     shutil.rmtree(bag, ignore_errors=True)
     pair = read_image_file(scene / 'left.png'), read_image_file(scene / 'right.png')
@@ -56,7 +56,9 @@ def make(scene: Path, output: Path) -> None:
 
 if __name__ == '__main__':
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('scene', type=Path, help='folder of the pictures')
-    parser.add_argument('--output', type=Path, default=HERE, help='where to (%(default)s)')
+    parser.add_argument('scene', type=Path, help='folder of the scene')
+    parser.add_argument(
+        '--output', type=Path, default=HERE, help='folder to write to (%(default)s)'
+    )
     arguments = parser.parse_args()
     make(arguments.scene, arguments.output)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that the package raises on purpose.
 
-Every message says what is wrong, which value, the limit and the remedy. The command line turns
-them into exit status 1; the nodes log them and drop the frame.
+Every message states the problem, the value, the limit and the remedy. The command line prints it
+and returns exit status 1 (2 for a `ConfigError`); a node logs it and drops the frame.
 """
 
 

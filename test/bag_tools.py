@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small bags in every format, written straight with the rosbags library."""
+"""Small bags in every format, written directly with the rosbags library."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.io.bags.reader import ros2_types
@@ -45,7 +47,7 @@ FORMATS = (*_ROS2, *_ROS1)
 
 
 def rig(focal_px: float = 80.0) -> StereoRig:
-    """Return a rectified rig of the size of the test pictures, baseline 0.5 m."""
+    """Return a rectified rig of the size of the test images, baseline 0.5 m."""
     K = np.array([[focal_px, 0, WIDTH / 2], [0, focal_px, HEIGHT / 2], [0, 0, 1]])
     left, right = (
         Camera(WIDTH, HEIGHT, K, np.zeros(5), np.eye(3), np.c_[K, [tx, 0, 0]])
@@ -54,8 +56,8 @@ def rig(focal_px: float = 80.0) -> StereoRig:
     return StereoRig(left, right)
 
 
-def pictures(index: int, size: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple[Image, Image]:
-    """Return a BGR pair with texture; every point is 6 px farther left in the right picture."""
+def image_pair(index: int, size: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple[Image, Image]:
+    """Return a BGR pair with texture; every point is 6 px farther left in the right image."""
     noise = np.random.default_rng(index).integers(0, 256, (size[0], size[1] + 6, 3), np.uint8)
     texture = np.asarray(cv2.GaussianBlur(noise, (5, 5), 0), np.uint8)
     return texture[:, :-6].copy(), texture[:, 6:].copy()
@@ -88,50 +90,64 @@ def info_message(camera: Camera, stamp_ns: int) -> Any:
 
 
 def stereo_records(frames: int = 4, namespace: str = '', image: str = 'image_raw') -> list[Record]:
-    """Return what a driver of `rig` would publish."""
+    """Return the messages that a driver of `rig` would publish."""
     records: list[Record] = []
     for index in range(frames):
         stamp_ns = START_NS + index * PERIOD_NS
-        for side, camera, picture in zip(
-            ('left', 'right'), (rig().left, rig().right), pictures(index), strict=True
+        for side, camera, pixels in zip(
+            ('left', 'right'), (rig().left, rig().right), image_pair(index), strict=True
         ):
             records += [
                 (f'{namespace}/{side}/camera_info', info_message(camera, stamp_ns), stamp_ns),
-                (f'{namespace}/{side}/{image}', image_message(picture, stamp_ns), stamp_ns + 1),
+                (f'{namespace}/{side}/{image}', image_message(pixels, stamp_ns), stamp_ns + 1),
             ]
     return records
 
 
 def write_bag(path: Path, records: Iterable[Record], fmt: str = 'mcap', version: int = 9) -> Path:
-    """Write a bag; returns what a user would give: the folder, or the file of ROS 1."""
+    """Write a bag; returns its path for a command: the folder, or the file of ROS 1."""
     if fmt in _ROS1:
         return _write_ros1(path.with_suffix('.bag'), records, fmt)
     storage, mode = _ROS2[fmt]
     writer = Writer(path, version=version, storage_plugin=storage)  # type: ignore[arg-type]
     writer.set_compression(mode, CompressionFormat.ZSTD)
-    types = ros2_types()
-    connections = {}
     with writer:
-        for topic, message, stamp_ns in records:
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=types)
-            writer.write(connections[topic], stamp_ns, types.serialize_cdr(message, kind))
+        _write_records(writer, records, ros2_types(), _to_cdr)
     return path
 
 
+def data_file(path: Path) -> Path:
+    """Return the file of a ROS 2 bag that holds the messages."""
+    return next(file for file in sorted(path.iterdir()) if file.suffix != '.yaml')
+
+
 def _write_ros1(path: Path, records: Iterable[Record], fmt: str) -> Path:
-    types = get_typestore(Stores.ROS1_NOETIC)
     writer = Ros1Writer(path)
     compression = _ROS1[fmt]
     if compression:
         writer.set_compression(compression)
-    connections = {}
     with writer:
-        for topic, message, stamp_ns in records:
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=types)
-            data = ros2_types().cdr_to_ros1(ros2_types().serialize_cdr(message, kind), kind)
-            writer.write(connections[topic], stamp_ns, data)
+        _write_records(writer, records, get_typestore(Stores.ROS1_NOETIC), _to_ros1)
     return path
+
+
+def _write_records(
+    writer: Writer | Ros1Writer,
+    records: Iterable[Record],
+    types: Typestore,
+    serialise: Callable[[Any], bytes],
+) -> None:
+    connections: dict[str, Connection] = {}
+    for topic, message, stamp_ns in records:
+        if topic not in connections:
+            kind = message.__msgtype__
+            connections[topic] = writer.add_connection(topic, kind, typestore=types)
+        writer.write(connections[topic], stamp_ns, serialise(message))
+
+
+def _to_cdr(message: Any) -> bytes:
+    return bytes(ros2_types().serialize_cdr(message, message.__msgtype__))
+
+
+def _to_ros1(message: Any) -> bytes:
+    return bytes(ros2_types().cdr_to_ros1(_to_cdr(message), message.__msgtype__))

@@ -137,6 +137,15 @@ def test_rooms_export_their_own_names() -> None:
             assert all(name.startswith(f'{own}.') for name in inside), own
 
 
+def test_no_exported_name_is_that_of_a_module() -> None:
+    """``from room import name`` would give one or the other, by what was imported before."""
+    for path in MODULES:
+        if path.name == '__init__.py':
+            beside = {one.stem for one in path.parent.iterdir()}
+            exported = {name.rpartition('.')[2] for name in imports(path)}
+            assert not exported & beside, name_of(path)
+
+
 def test_private_modules_stay_in_their_room() -> None:
     wrong = []
     for path in MODULES:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command or a node does, without its front end.
+"""The work behind commands and nodes, without their front ends.
 
-`reconstruct_bag` runs the chain on a whole bag into an `output_folder`; `progress` shows a
-person how far it is. Commands and nodes parse arguments or parameters and call these.
+`bag_reconstruction` runs the chain on a whole bag. `output_folder` holds the results;
+`frame_formats` is the table of the files of each frame, where a new output format is added.
+`progress` is a progress bar. Commands and nodes parse arguments or parameters and call these.
 """
 
 from typing import TYPE_CHECKING
@@ -10,11 +11,15 @@ from typing import TYPE_CHECKING
 from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
+    from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameFormat, FrameResult
     from binocular_recon.apps.output_folder import ResultFolder
-    from binocular_recon.apps.reconstruct_bag import BagInput, reconstruct_bag
 
 __all__ = [
+    'FRAME_FORMATS',
     'BagInput',
+    'FrameFormat',
+    'FrameResult',
     'ResultFolder',
     'reconstruct_bag',
 ]

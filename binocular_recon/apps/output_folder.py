@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder that `reconstruct` and `demo` fill."""
+"""The output folder of `reconstruct` and `demo`."""
 
 from __future__ import annotations
 
@@ -7,98 +7,95 @@ import dataclasses
 import math
 import re
 import statistics
+from collections.abc import Collection
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
-from binocular_recon.drawing.clouds import draw_cloud
-from binocular_recon.drawing.colormap import heat_map
-from binocular_recon.images import to_bgr8
+from binocular_recon.errors import ConfigError
+from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_files, make_folder, write_json
-from binocular_recon.io.image_files import write_image_file
-from binocular_recon.io.pfm import write_pfm
-from binocular_recon.io.ply import write_ply
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
 
-_ENDINGS = ('_disparity.pfm', '_disparity.png', '.ply', '_cloud.png')
-_FRAME = re.compile(rf'(\d{{6,}})({"|".join(map(re.escape, _ENDINGS))})')
-
 
 class ResultFolder:
-    """Write each frame when it is finished and, at the end or when interrupted, the summary.
+    """Write the files of each frame as it is finished, and a summary at the end.
 
-    What an earlier run left in the folder is replaced frame by frame; its other frames go when
-    this run has finished.
+    Each frame replaces that of the same number of an earlier run; the other frames of the earlier
+    run are removed when this run is complete.
 
     Parameters
     ----------
     folder : Path
-        Made with its parents where it does not exist.
+        Made with its parents if it does not exist.
     source : dict
-        Where the frames come from; becomes part of the summary.
-    pictures : bool
-        Whether each cloud is drawn as well.
+        Where the frames come from, for the summary.
+    formats : collection of str
+        Keys of `FRAME_FORMATS` to write besides those that are always written.
 
     Attributes
     ----------
     frames : list of dict
-        What the summary says of each finished frame.
+        Entry of each finished frame in the summary.
     left_out : list of dict
         Stamp and reason of each pair that could not be reconstructed.
 
     Raises
     ------
+    ConfigError
+        If a format is unknown.
     FileError
         If the folder cannot be made.
 
     """
 
-    def __init__(self, folder: Path, source: dict[str, Any], *, pictures: bool = False) -> None:
+    def __init__(
+        self, folder: Path, source: dict[str, Any], *, formats: Collection[str] = ()
+    ) -> None:
+        unknown = [name for name in formats if name not in FRAME_FORMATS]
+        if unknown:
+            raise ConfigError(
+                f'frame formats must be among {", ".join(FRAME_FORMATS)}, got {unknown[0]!r}'
+            )
         make_folder(folder)
         self.folder = folder
         self.frames: list[dict[str, Any]] = []
         self.left_out: list[dict[str, Any]] = []
         self._source = source
-        self._pictures = pictures
+        self._formats = [
+            spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
+        ]
         self._rig: StereoRig | None = None
 
     def add(
         self, stamp_ns: int, rig: StereoRig, reconstruction: Reconstruction, seconds: float
     ) -> None:
-        """Write the files of a frame; raises a FileError if they cannot be written."""
+        """Write all files of a frame or none; raises a FileError if they cannot be written."""
         index = len(self.frames)
+        result = FrameResult(reconstruction, rig)
+        with complete_files(self.folder) as parts:
+            for spec in self._formats:
+                spec.write_frame(parts, index, result)
+        points = np.isfinite(reconstruction.cloud.points_xyz).all(axis=-1)
         frame = {
             'index': index,
             'stamp_ns': stamp_ns,
-            'density': float(np.isfinite(reconstruction.filtered.disparity_px).mean()),
-            'depth_m': _range(reconstruction.cloud.depth_m),
+            'density': float(np.isfinite(result.disparity_px).mean()),
+            'depth_m': _depth_range(reconstruction.cloud.depth_m),
             'seconds': round(seconds, 4),
-            'points': self._write_files(f'{index:06d}', reconstruction),
+            'points': int(np.count_nonzero(points)),
         }
         if self._rig is None:
             self._rig = rig
         elif rig is not self._rig:
             frame['calibration'] = _calibration(rig)
         self.frames.append(frame)
-
-    def _write_files(self, stem: str, reconstruction: Reconstruction) -> int:
-        """Write all files of a frame or none; returns the number of points."""
-        disparity_px, cloud = reconstruction.filtered.disparity_px, reconstruction.cloud
-        bgr = to_bgr8(reconstruction.left)
-        with complete_files(self.folder) as parts:
-            pfm, png, ply, drawing = (parts / f'{stem}{ending}' for ending in _ENDINGS)
-            write_pfm(pfm, disparity_px)
-            write_image_file(png, heat_map(disparity_px))
-            if self._pictures:
-                size = bgr.shape[1], bgr.shape[0]
-                drawn = draw_cloud(cloud.points_xyz, bgr, size)
-                write_image_file(drawing, np.hstack([bgr, drawn]))
-            return write_ply(ply, cloud.points_xyz, cloud.sigma_z_m, bgr)
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:
         """Note a pair that could not be reconstructed."""
@@ -107,9 +104,9 @@ class ResultFolder:
     def write_summary(
         self, preset: str, config: ChainConfig, *, finished: bool, **facts: Any
     ) -> None:
-        """Write ``summary.json``, unless there is an earlier run's and this one has no frame.
+        """Write ``summary.json``; raises a FileError if it cannot be written.
 
-        Raises a FileError if it cannot be written.
+        A run without a finished frame leaves the summary of an earlier run as it is.
         """
         path = self.folder / 'summary.json'
         if not self.frames and path.exists():
@@ -131,17 +128,17 @@ class ResultFolder:
             self._drop_earlier_frames()
 
     def _drop_earlier_frames(self) -> None:
-        """Remove the frames of an earlier run that this one has not replaced."""
+        """Remove the files of an earlier run that this run has not replaced."""
+        endings = '|'.join(re.escape(spec.ending) for spec in FRAME_FORMATS.values())
+        frame_file = re.compile(rf'(\d{{6,}})({endings})')
+        written = {spec.ending for spec in self._formats}
         for path in self.folder.iterdir():
-            found = _FRAME.fullmatch(path.name)
-            if found is None:
-                continue
-            undrawn = found[2] == '_cloud.png' and not self._pictures
-            if undrawn or int(found[1]) >= len(self.frames):
+            found = frame_file.fullmatch(path.name)
+            if found and (int(found[1]) >= len(self.frames) or found[2] not in written):
                 path.unlink()
 
     def sentence(self) -> str:
-        """Return what was reconstructed, for a person."""
+        """Return one sentence about all frames."""
         if not self.frames:
             return f'no frames in {self.folder}'
         depths = [frame['depth_m'] for frame in self.frames if frame['depth_m']['min'] is not None]
@@ -157,7 +154,7 @@ class ResultFolder:
         )
 
 
-def _range(depth_m: Any) -> dict[str, float | None]:
+def _depth_range(depth_m: FloatImage) -> dict[str, float | None]:
     values = depth_m[np.isfinite(depth_m)]
     if values.size == 0:
         return dict.fromkeys(('min', 'median', 'max'))

@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A progress bar where a person waits."""
+"""A progress bar for the terminal."""
 
 from __future__ import annotations
 
 import shutil
 import sys
 import time
-from types import TracebackType
 
-# How often the line is redrawn at most: steps may take microseconds.
-_REDRAW_S = 0.1
+# Steps may take microseconds; drawing the line takes longer.
+_REDRAW_PERIOD_S = 0.1
 
 
 class ProgressBar:
-    """One line on stderr that is redrawn; nothing at all where stderr is no terminal.
+    """One line on stderr that is redrawn; draws nothing if stderr is not a terminal.
 
     Parameters
     ----------
     total : int
         Number of steps.
     unit : str
-        What a step is, in the plural.
+        Name of the steps, in the plural.
 
     """
 
@@ -35,22 +34,17 @@ class ProgressBar:
         self.show(0)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Take the bar away."""
+    def __exit__(self, *error: object) -> None:
+        """Remove the bar."""
         if self._visible:
             print(end='\r\033[K', file=sys.stderr, flush=True)
 
     def show(self, done: int, note: str = '') -> None:
-        """Draw the bar with ``done`` steps."""
+        """Draw the bar with ``done`` finished steps, and ``note`` behind it."""
         now_s = time.monotonic()
         if not self._visible or (done and now_s < self._next_s):
             return
-        self._next_s = now_s + _REDRAW_S if done else 0.0
+        self._next_s = now_s + _REDRAW_PERIOD_S if done else 0.0
         share = min(1.0, done / self._total)
         text = f' {done} of {self._total} {self._unit}'
         if done:

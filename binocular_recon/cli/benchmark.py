@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed and memory of each stage and of the chain, against its peers in the same run."""
+"""``benchmark``: speed and memory of each stage and of the chain, against their peers."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import positive, preset_names
-from binocular_recon.config import PRESETS
+from binocular_recon.cli.options import add_comparison_options, ximgproc_note
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.speed.benchmark import (
     SIZES,
@@ -24,43 +22,25 @@ from binocular_recon.evaluation.tables import figure, markdown_table, to_plain
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import machine_facts
 
-NO_XIMGPROC = (
-    'This OpenCV has no ximgproc: its WLS filter and the chain with it are absent. It is part of'
-    ' opencv-contrib-python-headless; `make benchmark` sets up an environment with it.'
-)
+NO_XIMGPROC = ximgproc_note('its WLS filter and the chain with it are missing', 'benchmark')
 _MIN_SIDE_PX = 64
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        '--output', type=Path, default=Path('out'), help='folder for the results (%(default)s)'
-    )
+    """Declare the arguments of ``benchmark``."""
+    add_comparison_options(parser, repeat=5)
     parser.add_argument(
         '--sizes',
         type=_size,
         nargs='+',
         default=list(SIZES),
         metavar='WxHxD',
-        help=f'width x height x disparities ({" ".join(map(str, SIZES))})',
-    )
-    parser.add_argument(
-        '--presets',
-        type=preset_names,
-        default=list(PRESETS),
-        metavar='NAME,...',
-        help=f'presets to time (all: {",".join(PRESETS)})',
-    )
-    parser.add_argument(
-        '--repeat',
-        type=positive(int),
-        default=5,
-        help='timed runs of each contestant (%(default)s)',
+        help=f'image sizes: width x height x disparities ({" ".join(map(str, SIZES))})',
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Measure; print the tables and write benchmark.json.
+    """Measure, print the tables and write ``benchmark.json``.
 
     Raises
     ------
@@ -159,5 +139,7 @@ def _size(text: str) -> Size:
             f'{text}: sides must be at least {_MIN_SIDE_PX} px, disparities a multiple of 16'
         )
     if disparity_range >= width:
-        raise argparse.ArgumentTypeError(f'{text}: more disparities than columns')
+        raise argparse.ArgumentTypeError(
+            f'{text}: there must be fewer disparities than columns ({width})'
+        )
     return Size(width, height, disparity_range)

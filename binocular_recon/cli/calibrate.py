@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibrate``: pictures of rod boards, or points of another detector, to a calibrated rig."""
+"""``calibrate``: calibrate a rig from images of rods or points of another detector."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
-from binocular_recon.cli.options import positive
+from binocular_recon.cli.options import add_output_option, positive
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.files import make_folder, write_json
@@ -30,7 +30,7 @@ _Result = TypeVar('_Result')
 
 
 class _Marks(NamedTuple):
-    """What is calibrated from, as `solve` takes it."""
+    """Input of the calibration."""
 
     captures: Sequence[Capture]
     target: RodBoard | Target
@@ -42,43 +42,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``calibrate``."""
     parser.add_argument(
         'captures', nargs='?', type=Path, metavar='DIR',
-        help='folder of pictures left_NAME.png and right_NAME.png, one pair per board',
+        help='folder of images left_NAME.png and right_NAME.png, one pair per board',
     )  # fmt: skip
-    parser.add_argument('--rods', type=Path, help='rods.yaml: the rods in the pictures')
+    parser.add_argument(
+        '--rods', type=Path, metavar='FILE.yaml', help='rods.yaml: the rods in the images'
+    )
     parser.add_argument(
         '--points', type=Path, metavar='FILE.csv',
-        help='instead of pictures: points of a flat target found by another detector, with the'
-        ' columns name, side, id, X_m, Y_m, u_px, v_px',
+        help='instead of images: points of a flat target from another detector, with the columns'
+        ' name, side, id, X_m, Y_m, u_px, v_px',
     )  # fmt: skip
     parser.add_argument(
-        '--image-size', metavar='WxH', help='size of the pictures that --points were found in'
+        '--image-size', metavar='WxH', help='size of the images that --points were found in'
     )
     parser.add_argument(
         '--self-check', action='store_true',
-        help='instead of calibrating: compare the method with the best possible one on simulated'
-        ' boards, and redo the tables of the paper that concern it',
+        help='instead of calibrating: compare the method with the Cramer-Rao bound on simulated'
+        ' boards, and repeat the tables of the paper on calibration',
     )  # fmt: skip
     parser.add_argument(
-        '--sets', type=positive(int), default=20, help='of --self-check: sets of boards'
+        '--sets',
+        type=positive(int),
+        default=20,
+        metavar='N',
+        help='number of sets of boards for --self-check (%(default)s)',
     )
     parser.add_argument(
-        '--draws', type=positive(int), default=5, help='of --self-check: draws per set'
+        '--draws',
+        type=positive(int),
+        default=5,
+        metavar='N',
+        help='number of draws per set for --self-check (%(default)s)',
     )
-    parser.add_argument('--output', type=Path, required=True, help='folder to write to')
+    add_output_option(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Calibrate and write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
+    """Calibrate; write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
     if args.self_check:
         make_folder(args.output)
-        told = functools.partial(print, flush=True)
-        rows, seconds = _timed(lambda: self_check(args.sets, args.draws, told))
+        report = functools.partial(print, flush=True)
+        rows, seconds = _timed(lambda: self_check(args.sets, args.draws, report))
         write_json(args.output / 'self_check.json', rows)
         print(f'{args.output / "self_check.json"} ({seconds:.0f} s)')
         return
     _check(args)
-    marks_of = _marks_of_points if args.points else _marks_of_pictures
-    (captures, target, size, rejected), marks_s = _timed(lambda: marks_of(args))
+    read_marks = _read_points if args.points else _detect_marks
+    (captures, target, size, rejected), marks_s = _timed(lambda: read_marks(args))
     result, solve_s = _timed(lambda: calibrate(captures, target, size, rejected=rejected))
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
     print(summary(result))
@@ -92,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def summary(result: CalibrationResult) -> str:
-    """Return the result in a few lines, with the paper's Table 2."""
+    """Return the result in a few lines, with Table 2 of the paper."""
     lines = [f'{"board":>12} {"marks":>6} {"planar":>9} {"corrected":>9} {"adjusted":>9}  px']
     content = result.to_mapping()
     lines += [
@@ -122,35 +132,35 @@ def summary(result: CalibrationResult) -> str:
 def _check(args: argparse.Namespace) -> None:
     """Raise a ConfigError for arguments that contradict each other."""
     if (args.captures is None) == (args.points is None):
-        raise ConfigError('give either a folder of pictures or --points FILE.csv')
+        raise ConfigError('give either a folder of images or --points FILE.csv')
     if args.points and args.rods:
-        raise ConfigError('--rods describes rods in pictures; --points has its own coordinates')
+        raise ConfigError('--rods describes rods in images; --points has its own coordinates')
     if args.captures and args.rods is None:
-        raise ConfigError('pictures of rods need --rods rods.yaml')
+        raise ConfigError('images of rods need --rods rods.yaml')
     if args.captures and args.image_size:
-        raise ConfigError('--image-size belongs to --points; pictures have their own size')
+        raise ConfigError('--image-size belongs to --points; images have their own size')
 
 
-def _marks_of_pictures(args: argparse.Namespace) -> _Marks:
+def _detect_marks(args: argparse.Namespace) -> _Marks:
     board = load_rods(args.rods)
     done: list[BoardReading] = []
     with ProgressBar(len(find_boards(args.captures)), 'boards') as bar:
 
-        def told(reading: BoardReading) -> None:
+        def on_progress(reading: BoardReading) -> None:
             done.append(reading)
             bar.show(len(done), reading.reason)
 
-        found = read_captures(args.captures, board, told)
+        found = read_captures(args.captures, board, on_progress)
     return _Marks(found.captures, board, found.image_size, found.rejected)
 
 
-def _marks_of_points(args: argparse.Namespace) -> _Marks:
+def _read_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
     for reason in table.left_out:
         print(f'left out: {reason}')
     if args.image_size is None:
         size = table.least_size
-        print('pictures are taken to be {}x{} px; give --image-size WxH if not'.format(*size))
+        print('image size taken to be {}x{} px; give --image-size WxH if not'.format(*size))
     else:
         size = _size(args.image_size)
     return _Marks(table.captures, table.target, size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``demo``: the whole chain on a real picture pair that comes with the project."""
+"""``demo``: the whole chain on a real image pair that ships with the project."""
 
 from __future__ import annotations
 
@@ -7,53 +7,48 @@ import argparse
 import json
 from pathlib import Path
 
-from binocular_recon.cli.options import add_chain_options, chain_config
+from binocular_recon.cli.options import add_chain_options, add_output_option, chain_config
 from binocular_recon.errors import FileError
 
-# Like every scene's, its range of disparities is an input; the nearest point has 63 px.
+# The nearest point of the scene has 63 px.
 DISPARITY_RANGE_PX = 80
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        '--output',
-        type=Path,
-        default=Path('out/demo'),
-        metavar='DIR',
-        help='folder for the results (%(default)s)',
-    )
+    """Declare the arguments of ``demo``."""
+    add_output_option(parser, 'out/demo')
     add_chain_options(parser)
     parser.set_defaults(disparity_range=DISPARITY_RANGE_PX)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Reconstruct the pair, draw the cloud and compare with the ground truth.
+    """Reconstruct the pair, draw the cloud and compare the disparity with the ground truth.
 
     Raises
     ------
     BinocularReconError
-        If the bag is not there or the results cannot be written.
+        If the bag is missing or the results cannot be written.
 
     """
-    from binocular_recon.apps.reconstruct_bag import BagInput, reconstruct_bag
+    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
 
     bags = _bags()
-    source = BagInput(bag=bags / 'motorcycle', pictures=True)
-    print('Scene Motorcycle of the Middlebury stereo datasets, 2 to 6 m away, f 999 px, b 0.193 m')
-    print(reconstruct_bag(source, args.output, args.preset, chain_config(args)))
+    source = BagInput(bag=bags / 'motorcycle')
+    config = chain_config(args)
+    print('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
+    print(reconstruct_bag(source, args.output, args.preset, config, formats=['drawing']))
     print(_accuracy(args.output, bags / 'motorcycle_truth' / 'disparity.png'))
     for name, content in {
-        '000000.ply': 'point cloud with colour and sigma_z, for CloudCompare, MeshLab, Open3D',
-        '000000_cloud.png': 'left picture, and the cloud seen from the side',
-        '000000_disparity.png': 'disparity as a heat map; the numbers are in the .pfm',
+        '000000.ply': 'point cloud with colour and sigma_z, for CloudCompare, MeshLab or Open3D',
+        '000000_cloud.png': 'left image, and the cloud from an oblique view',
+        '000000_disparity.png': 'disparity as a heat map; the .pfm file holds the numbers',
         'summary.json': 'depth range, accuracy, options, calibration and versions',
     }.items():
         print(f'  {args.output / name}: {content}')
 
 
 def _accuracy(output: Path, truth: Path) -> str:
-    """Compare with the ground truth, add the figures to the summary and return a sentence."""
+    """Compare with the ground truth; add the figures to the summary and return a sentence."""
     from binocular_recon.evaluation.accuracy.metrics import BAD_THRESHOLDS_PX, accuracy
     from binocular_recon.io.disparity_png import read_disparity_png
     from binocular_recon.io.files import write_json
@@ -69,18 +64,18 @@ def _accuracy(output: Path, truth: Path) -> str:
     write_json(output / 'summary.json', {**summary, 'accuracy': figures})
     shares = ', '.join(f'{name.removesuffix(" %")} {share:.1f} %' for name, share in bad.items())
     return (
-        f'against the ground truth of {found.pixels} pixels, hidden ones included: {shares},'
-        f' mean error {found.mean_error_px:.2f} px'
+        f'against the ground truth of {found.pixels} pixels, half-occluded ones included:'
+        f' {shares}, mean error {found.mean_error_px:.2f} px'
     )
 
 
 def _bags() -> Path:
-    """Return the folder of the bags: in the repository, or where it was installed to."""
+    """Return the folder of the bags, in the repository or as installed."""
     for above in Path(__file__).resolve().parents:
         for bags in (above / 'bags', above / 'share' / 'binocular_recon' / 'bags'):
             if (bags / 'motorcycle' / 'metadata.yaml').exists():
                 return bags
     raise FileError(
-        'the bag of the demo, bags/motorcycle, is not installed; run it in the repository, or'
+        'the bag of the demo, bags/motorcycle, is not installed; run the demo in the repository or'
         ' reconstruct a bag of your own'
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy on scenes with ground truth, against OpenCV's matchers in the same run."""
+"""``evaluate``: accuracy on scenes with ground truth, against OpenCV's matchers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import add_option_flags, given_options, positive, preset_names
-from binocular_recon.config import PRESETS
+from binocular_recon.cli.options import (
+    add_comparison_options,
+    add_option_flags,
+    given_options,
+    names,
+    ximgproc_note,
+)
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.accuracy import report, summary
@@ -38,52 +43,37 @@ from binocular_recon.io.files import complete_file, make_folder, write_json
 from binocular_recon.machine import machine_facts
 
 HOW_MEASURED = (
-    'A pixel is bad if its error exceeds the limit or if it is unfilled; in the mean error an'
-    ' unfilled pixel counts as disparity 0. Times are medians of runs that took turns.'
+    'A pixel is bad if its error exceeds the limit or if it has no disparity; in the mean error,'
+    ' a pixel without disparity counts as disparity 0. Times are medians of interleaved runs.'
 )
-PADDED = 'OpenCV gets pictures padded on the left so that it too can fill every pixel.'
-NO_XIMGPROC = (
-    "This OpenCV has no ximgproc: the rows with ximgproc's WLS filter are absent. It is part of"
-    ' opencv-contrib-python-headless; `make evaluate` sets up an environment with it.'
-)
+PADDED = 'Images for OpenCV are padded on the left, so that it too can fill every pixel.'
+NO_XIMGPROC = ximgproc_note('the rows with its WLS filter are missing', 'evaluate')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
+    """Declare the arguments of ``evaluate``."""
     parser.add_argument(
         'dir',
         type=Path,
         metavar='DIR',
-        help='folder of scene folders (left.png, right.png, disparity.pfm, scene.yaml), or one',
+        help='scene folder (left.png, right.png, disparity.pfm, scene.yaml), or a folder of these',
     )
+    add_comparison_options(parser, repeat=3)
     parser.add_argument(
-        '--output', type=Path, default=Path('out'), help='folder for the results (%(default)s)'
+        '--scenes', type=names, metavar='NAME,...', help='scenes to evaluate (all)'
     )
+    parser.add_argument('--no-peers', action='store_true', help="leave out OpenCV's matchers")
     parser.add_argument(
-        '--presets',
-        type=preset_names,
-        default=list(PRESETS),
-        metavar='NAME,...',
-        help=f'presets to evaluate (all: {",".join(PRESETS)})',
-    )
-    parser.add_argument(
-        '--scenes', type=_names, metavar='NAME,...', help='scenes to evaluate (all)'
-    )
-    parser.add_argument('--no-peers', action='store_true', help="leave OpenCV's matchers out")
-    parser.add_argument(
-        '--match-only', action='store_true', help='show the matching before the filter too'
-    )
-    parser.add_argument(
-        '--repeat', type=positive(int), default=3, help='timed runs of each method (%(default)s)'
+        '--match-only', action='store_true', help='also evaluate the matches before the filter'
     )
     parser.add_argument(
         '--exposure',
         action='store_true',
-        help='also evaluate with the right picture made darker (times'
-        f' {EXPOSURE_GAIN:g}, plus {EXPOSURE_OFFSET:g} grey levels)',
+        help=f'also evaluate with the right image darkened: times {EXPOSURE_GAIN:g}, plus'
+        f' {EXPOSURE_OFFSET:g} grey levels',
     )
     parser.add_argument(
-        '--crop', action='store_true', help='also measure what cutting the pictures changes'
+        '--crop', action='store_true', help='also measure the effect of cropping the images'
     )
     add_option_flags(
         parser, exclude=('min_disparity', 'disparity_range', 'min_depth', 'max_depth')
@@ -92,14 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass
 class Findings:
-    """What was found out so far.
+    """Results of the scenes that are finished.
 
     Attributes
     ----------
     scenes : list of SceneScores
-        Figures of the finished scenes.
+        Figures of each scene.
     sections : list of str
-        Their parts of the page.
+        Section of the page of each scene.
     exposure : list of ExposureChange
     crop : list of CropChange
     failures : Failures
@@ -115,14 +105,14 @@ class Findings:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Evaluate; print the tables, write evaluation.json and evaluation.html.
+    """Evaluate, print the tables, write ``evaluation.json`` and ``evaluation.html``.
 
     Raises
     ------
     BinocularReconError
-        If the scenes cannot be found, an option is wrong, or, at the end, if scenes failed.
+        If there are no scenes or an option is wrong; or, at the end, if scenes failed.
     KeyboardInterrupt
-        After the finished scenes were reported.
+        After an interruption, when the finished scenes have been reported.
 
     """
     methods = _methods(args)
@@ -159,8 +149,8 @@ def _evaluate(
     findings.scenes.append(result.scores)
 
 
-def _report(args: argparse.Namespace, findings: Findings, asked: int) -> None:
-    notes, tables = _notes(findings, asked), _tables(findings)
+def _report(args: argparse.Namespace, findings: Findings, scene_count: int) -> None:
+    notes, tables = _notes(findings, scene_count), _tables(findings)
     print('\n\n'.join([*tables, *notes]))
     failures = {name: str(error) for name, error in findings.failures.errors.items()}
     facts = {
@@ -188,7 +178,7 @@ def _methods(args: argparse.Namespace) -> list[Method]:
             methods.append(match_method(preset, **overrides))
         methods.append(preset_method(preset, **overrides))
     if not methods:
-        raise ConfigError('nothing to evaluate: name a preset or leave out --no-peers')
+        raise ConfigError('nothing to evaluate: name a preset or omit --no-peers')
     return methods
 
 
@@ -208,7 +198,7 @@ def _tables(findings: Findings) -> list[str]:
     return [table for table in tables if table]
 
 
-def _notes(findings: Findings, asked: int) -> list[str]:
+def _notes(findings: Findings, scene_count: int) -> list[str]:
     scenes = findings.scenes
     notes = [HOW_MEASURED]
     if not all(score.ours for score in scenes[0].scores):
@@ -217,16 +207,12 @@ def _notes(findings: Findings, asked: int) -> list[str]:
     unknown = [scene.scene for scene in scenes if not scene.visible_source]
     metric = [scene.scene for scene in scenes if scene.scores[0].depth]
     failed = list(findings.failures.errors)
-    for names, text in (
-        (derived, 'Visible and occluded are derived from the ground truth in {}.'),
-        (unknown, 'Visible and occluded are not known in {}.'),
-        (metric, 'Depth errors are a mean over {}.'),
-        (failed, f'Not evaluated ({len(failed)} of {asked}): {{}}.'),
+    for scene_names, text in (
+        (derived, 'Occlusions are derived from the ground truth in {}.'),
+        (unknown, 'Occlusions are not known in {}.'),
+        (metric, 'Depth errors are means over {}.'),
+        (failed, f'Not evaluated ({len(failed)} of {scene_count}): {{}}.'),
     ):
-        if names:
-            notes.append(text.format(', '.join(names)))
+        if scene_names:
+            notes.append(text.format(', '.join(scene_names)))
     return notes
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(',') if name.strip()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``match``: dense disparity of one rectified pair of picture files."""
+"""``match``: dense disparity of one rectified pair of image files."""
 
 from __future__ import annotations
 
@@ -13,22 +13,28 @@ from binocular_recon.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument('left', type=Path, metavar='LEFT', help='picture of the left camera')
-    parser.add_argument('right', type=Path, metavar='RIGHT', help='picture of the right camera')
+    """Declare the arguments of ``match``."""
+    parser.add_argument('left', type=Path, metavar='LEFT', help='image of the left camera')
+    parser.add_argument('right', type=Path, metavar='RIGHT', help='image of the right camera')
     parser.add_argument(
         '--max-disparity',
         type=int,
         required=True,
         metavar='N',
-        help='largest disparity x_left - x_right searched, px',
+        help='largest disparity x_left - x_right to search, px',
     )
     parser.add_argument(
-        '--output', type=Path, required=True, metavar='FILE.pfm', help='disparity, float32 px'
+        '--output',
+        type=Path,
+        required=True,
+        metavar='FILE.pfm',
+        help='file for the disparity, float32 px',
     )
-    parser.add_argument('--heat-map', type=Path, metavar='FILE.png', help='picture of it')
-    beside = [spec.name for spec in dataclasses.fields(CloudConfig)]
-    add_chain_options(parser, exclude=['disparity_range', *beside])
+    parser.add_argument(
+        '--heat-map', type=Path, metavar='FILE.png', help='also write the disparity as a heat map'
+    )
+    cloud_options = [spec.name for spec in dataclasses.fields(CloudConfig)]
+    add_chain_options(parser, exclude=['disparity_range', *cloud_options])
 
 
 def run(args: argparse.Namespace) -> None:
@@ -37,7 +43,7 @@ def run(args: argparse.Namespace) -> None:
     Raises
     ------
     BinocularReconError
-        If a picture cannot be read, the pictures do not fit or a file cannot be written.
+        If an image cannot be read, the images do not fit or a file cannot be written.
 
     """
     import time

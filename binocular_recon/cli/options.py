@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands share, made from the fields of the configuration."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -7,11 +7,63 @@ import argparse
 import dataclasses
 import math
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Any
 
 from binocular_recon.config import PRESETS, ChainConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import OptionValue, check_option
+
+
+def add_bag_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``BAG``."""
+    parser.add_argument(
+        'bag',
+        type=Path,
+        metavar='BAG',
+        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file',
+    )
+
+
+def add_output_option(
+    parser: argparse.ArgumentParser, default: str = '', content: str = 'the results'
+) -> None:
+    """Declare ``--output DIR``, required if there is no default."""
+    parser.add_argument(
+        '--output',
+        type=Path,
+        default=Path(default) if default else None,
+        required=not default,
+        metavar='DIR',
+        help=f'folder for {content}' + (' (%(default)s)' if default else ''),
+    )
+
+
+def add_comparison_options(parser: argparse.ArgumentParser, *, repeat: int) -> None:
+    """Declare the options of a comparison with other programs."""
+    add_output_option(parser, 'out')
+    parser.add_argument(
+        '--presets',
+        type=preset_names,
+        default=list(PRESETS),
+        metavar='NAME,...',
+        help=f'presets to run (all: {",".join(PRESETS)})',
+    )
+    parser.add_argument(
+        '--repeat',
+        type=positive(int),
+        default=repeat,
+        metavar='N',
+        help='timed runs of each method (%(default)s)',
+    )
+
+
+def ximgproc_note(missing: str, command: str) -> str:
+    """Return the note of a comparison if OpenCV has no ximgproc."""
+    return (
+        f'This OpenCV has no ximgproc: {missing}. It is part of opencv-contrib-python-headless;'
+        f' `make {command}` sets up an environment with it.'
+    )
 
 
 def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:
@@ -20,15 +72,15 @@ def add_chain_options(parser: argparse.ArgumentParser, exclude: Collection[str] 
         '--preset',
         choices=list(PRESETS),
         default='default',
-        help='options of the chain that belong together (%(default)s)',
+        help='set of chain options (%(default)s)',
     )
     add_option_flags(parser, exclude)
 
 
 def add_option_flags(parser: argparse.ArgumentParser, exclude: Collection[str] = ()) -> None:
-    """Declare a flag for every option of the chain that ``exclude`` has not."""
+    """Declare a flag for every option of the chain except those in ``exclude``."""
     group = parser.add_argument_group(
-        'options of the chain', 'Each replaces the value of the preset.'
+        'chain options', 'An option given here replaces its value in the preset.'
     )
     for spec in _options():
         if spec.name not in exclude:
@@ -51,7 +103,7 @@ def add_option_flags(parser: argparse.ArgumentParser, exclude: Collection[str] =
 
 
 def chain_config(args: argparse.Namespace, **overrides: OptionValue) -> ChainConfig:
-    """Return the configuration that the arguments ask for; ``overrides`` win over all."""
+    """Return the configuration of the arguments; ``overrides`` take precedence over all."""
     return ChainConfig.preset(args.preset, **{**given_options(args), **overrides})
 
 
@@ -60,17 +112,22 @@ def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
     return {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
 
 
+def names(text: str) -> list[str]:
+    """Convert an argument that lists names, separated by commas."""
+    return [name.strip() for name in text.split(',') if name.strip()]
+
+
 def preset_names(text: str) -> list[str]:
-    """Convert an argument with one or more presets, separated by commas."""
-    names = [name.strip() for name in text.split(',') if name.strip()]
-    for name in names:
+    """Convert an argument that lists presets, separated by commas."""
+    presets = names(text)
+    for name in presets:
         if name not in PRESETS:
             raise argparse.ArgumentTypeError(f'{name!r} is not one of {", ".join(PRESETS)}')
-    return names
+    return presets
 
 
 def positive(kind: type[int | float]) -> Callable[[str], float]:
-    """Return a converter of arguments that refuses what is not finite and above 0."""
+    """Return a converter of arguments that must be finite and greater than 0."""
 
     def convert(text: str) -> float:
         value = kind(text)
@@ -78,12 +135,14 @@ def positive(kind: type[int | float]) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f'must be finite and greater than 0, got {text}')
         return value
 
-    convert.__name__ = 'number' if kind is float else 'whole number'  # named by argparse's errors
+    convert.__name__ = (
+        'number' if kind is float else 'whole number'
+    )  # appears in argparse's errors
     return convert
 
 
 def non_negative(text: str) -> int:
-    """Convert an argument that is a whole number and not below 0, such as a seed."""
+    """Convert an argument that is a whole number and not negative, such as a seed."""
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f'must not be negative, got {text}')
@@ -107,7 +166,7 @@ def _converter(spec: dataclasses.Field[Any]) -> Callable[[str], OptionValue]:
         except ConfigError as error:
             raise argparse.ArgumentTypeError(str(error)) from None
         except ValueError:
-            raise argparse.ArgumentTypeError(f'{text!r} is no {_metavar(spec)}') from None
+            raise argparse.ArgumentTypeError(f'{text!r} is not a valid {_metavar(spec)}') from None
 
     return convert
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``paper``: the paper end to end on simulated sites, its Tables 1, 2 and 3 beside ours."""
+"""``paper``: the paper end to end on simulated sites; its Tables 1, 2 and 3 beside ours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import non_negative, positive
+from binocular_recon.cli.options import add_output_option, non_negative, positive
 from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.paper.drawing import draw_crop, draw_sizes
 from binocular_recon.evaluation.paper.runs import (
@@ -29,42 +29,39 @@ from binocular_recon.io.image_files import write_image_file
 from binocular_recon.machine import machine_facts
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
 
-# How exactly rods stand, one standard deviation, m.
+# Standard deviation of the placement of the rods, m.
 PLACEMENTS_M = (0.0, 0.005)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        '--output', type=Path, default=Path('out/paper'), metavar='DIR',
-        help='folder for paper.json, tables.md, sizes.jpg and crop.jpg (%(default)s)',
-    )  # fmt: skip
+    """Declare the arguments of ``paper``."""
+    add_output_option(parser, 'out/paper', 'paper.json, tables.md, sizes.jpg and crop.jpg')
     parser.add_argument(
         '--seeds', type=positive(int), default=10, metavar='N',
-        help='simulated sites (%(default)s)',
+        help='number of simulated sites (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
         '--first-seed',
         type=non_negative,
         default=0,
         metavar='N',
-        help='other seeds, other sites (0)',
+        help='seed of the first site; each further site adds 1 (%(default)s)',
     )
     parser.add_argument(
         '--boards', type=positive(int), default=BOARDS, metavar='N',
-        help='boards of rods to calibrate with (%(default)s)',
+        help='boards to calibrate with (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
         '--rendered', type=non_negative, default=1, metavar='N',
-        help='sites whose rods are rendered in pictures and detected (%(default)s); for the others'
+        help='sites whose rods are rendered in images and detected (%(default)s); for the others,'
         f' marks are simulated with {MARK_NOISE_PX:g} px noise',
     )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> None:
-    """Run all sites, print the tables, write ``paper.json``, ``tables.md`` and two pictures.
+    """Run all sites, print the tables, write ``paper.json``, ``tables.md`` and two figures.
 
-    The files hold all finished sites after each one: an interruption loses the one under way.
+    The files are written again after each site, so an interruption loses only the current one.
     """
     make_folder(args.output)
     start = time.monotonic()
@@ -92,7 +89,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[str, Any]:
-    """Return what ``paper.json`` holds; null = a mark that was not found."""
+    """Return the content of ``paper.json``; null = a mark that was not found."""
     placements = sorted({run.placement_m for run in runs})
     means = {
         f'{placement:g}': {
@@ -116,7 +113,7 @@ def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[st
 def _keep(
     folder: Path, run: PaperRun, survey: Survey, runs: list[PaperRun], failed: list[FailedRun]
 ) -> None:
-    """Add a run to the others and write what they yield."""
+    """Add a run and write the files of all runs."""
     if not runs:
         write_image_file(folder / 'sizes.jpg', draw_sizes(survey, run))
         write_image_file(folder / 'crop.jpg', draw_crop(survey))
@@ -131,7 +128,7 @@ def _text(runs: Sequence[PaperRun], failed: Sequence[FailedRun]) -> str:
 
 
 def _failures(failed: Sequence[FailedRun]) -> str:
-    words = (
+    reasons = (
         f'seed {run.seed}, rods {1e3 * run.placement_m:g} mm off: {run.reason}' for run in failed
     )
-    return f'Not measured: {"; ".join(words)}.'
+    return f'Not measured: {"; ".join(reasons)}.'

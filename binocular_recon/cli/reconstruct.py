@@ -1,33 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``reconstruct``: a stereo bag in, point clouds and disparity maps out."""
+"""``reconstruct``: from a stereo bag to point clouds and disparity maps."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import add_chain_options, chain_config, positive
+from binocular_recon.cli.options import (
+    add_bag_argument,
+    add_chain_options,
+    add_output_option,
+    chain_config,
+    positive,
+)
 from binocular_recon.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument(
-        'bag',
-        type=Path,
-        metavar='BAG',
-        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file',
+    """Declare the arguments of ``reconstruct``."""
+    add_bag_argument(parser)
+    add_output_option(
+        parser,
+        content='NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, and summary.json; files'
+        ' of an earlier run are replaced',
     )
     parser.add_argument(
-        '--output',
-        type=Path,
-        required=True,
-        metavar='DIR',
-        help='folder for NNNNNN.ply, NNNNNN_disparity.pfm and .png of each frame, summary.json;'
-        ' those of an earlier run are replaced',
-    )
-    parser.add_argument(
-        '--every', type=positive(int), default=1, metavar='N', help='take every Nth pair only'
+        '--every', type=positive(int), default=1, metavar='N', help='reconstruct every Nth pair'
     )
     parser.add_argument(
         '--max-frames', type=positive(int), metavar='N', help='stop after N frames'
@@ -35,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--pictures',
         action='store_true',
-        help='also draw each cloud, beside the left picture: NNNNNN_cloud.png',
+        help='also draw each cloud beside the left image: NNNNNN_cloud.png',
     )
     _add_input_options(parser)
     add_chain_options(parser)
@@ -43,15 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_input_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
-        'options of the input',
-        'By default left/ and right/ image_raw with camera_info, or image_rect, in the only'
+        'input options',
+        'By default image_raw and camera_info, or image_rect, under left/ and right/, in the only'
         ' namespace that has them; raw or compressed.',
     )
     group.add_argument('--namespace', metavar='NAME', help='namespace of the rig')
     for side in ('left', 'right'):
-        group.add_argument(
-            f'--{side}-image', metavar='TOPIC', help=f'picture of the {side} camera'
-        )
+        group.add_argument(f'--{side}-image', metavar='TOPIC', help=f'image of the {side} camera')
         group.add_argument(
             f'--{side}-info',
             metavar='TOPIC',
@@ -60,21 +56,21 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--rectified',
         action=argparse.BooleanOptionalAction,
-        help='whether the pictures that --left-image and --right-image name are rectified (by'
-        ' default if their name says so)',
+        help='whether the images of --left-image and --right-image are rectified (by default if'
+        ' their name contains rect)',
     )
     group.add_argument(
         '--calibration',
         type=Path,
         metavar='DIR',
-        help="folder with left.yaml and right.yaml that replaces the bag's camera_info",
+        help='folder with left.yaml and right.yaml that replace the camera_info of the bag',
     )
     group.add_argument(
         '--alpha',
         type=float,
         default=-1.0,
         metavar='NUMBER',
-        help='-1 rectifies with P as calibrated; 0 leaves no empty border, 1 loses no pixel'
+        help='-1 rectifies with P as calibrated; 0 crops to valid pixels, 1 keeps all pixels'
         ' (%(default)s)',
     )
     group.add_argument(
@@ -82,7 +78,7 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         type=positive(float),
         default=0.0,
         metavar='SECONDS',
-        help='pair pictures whose stamps differ by up to this; by default only equal stamps',
+        help='pair images whose stamps differ by up to this; by default only equal stamps',
     )
 
 
@@ -92,11 +88,10 @@ def run(args: argparse.Namespace) -> None:
     Raises
     ------
     BinocularReconError
-        If there is nothing to reconstruct or, after all that could be read was reconstructed, if
-        something could not.
+        If nothing can be reconstructed; or, after the rest was, if a part could not be.
 
     """
-    from binocular_recon.apps.reconstruct_bag import BagInput, reconstruct_bag
+    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
 
     source = BagInput(
         bag=args.bag,
@@ -109,14 +104,15 @@ def run(args: argparse.Namespace) -> None:
         tolerance_ns=round(args.approximate_sync_tolerance_seconds * 1e9),
         every=args.every,
         max_frames=args.max_frames,
-        pictures=args.pictures,
     )
     _check_input_options(args)
-    print(reconstruct_bag(source, args.output, args.preset, chain_config(args)))
+    formats = ['drawing'] if args.pictures else []
+    config = chain_config(args)
+    print(reconstruct_bag(source, args.output, args.preset, config, formats=formats))
 
 
 def _check_input_options(args: argparse.Namespace) -> None:
-    """Raise a ConfigError if an option would have no effect beside the others."""
+    """Raise a ConfigError if an option would have no effect together with the others."""
     if args.left_image is None:
         for flag, value in (
             ('--left-info and --right-info', args.left_info),
@@ -124,16 +120,16 @@ def _check_input_options(args: argparse.Namespace) -> None:
         ):
             if value is not None:
                 raise ConfigError(
-                    f'{flag} without --left-image and --right-image say nothing; give these too'
+                    f'{flag} can only be used with --left-image and --right-image; give these too'
                 )
     elif args.namespace is not None:
         raise ConfigError(
-            '--namespace looks for the topics that --left-image and --right-image name;'
-            ' leave one of them out'
+            '--namespace selects the topics that --left-image and --right-image name; omit one of'
+            ' them'
         )
     if args.calibration is not None and args.left_info is not None:
         raise ConfigError(
-            '--calibration replaces what --left-info and --right-info name; leave one of them out'
+            '--calibration replaces the topics of --left-info and --right-info; omit one of them'
         )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``simulate rods|scene``: pictures of rods, or a survey scene as a bag, with ground truth."""
+"""``simulate rods|scene``: images of rods, or a survey scene as a bag, with ground truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
-from binocular_recon.cli.options import non_negative, positive
+from binocular_recon.cli.options import add_output_option, non_negative, positive
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.calibration.detection import score_capture, summarise_scores
 from binocular_recon.images import ByteImage
@@ -44,27 +44,42 @@ PHOTOGRAPH_SUFFIXES = {'.jpg', '.jpeg', '.png', '.tif', '.tiff', '.bmp'}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``simulate``."""
     kinds = parser.add_subparsers(dest='kind', required=True, metavar='rods|scene')
-    rods = kinds.add_parser('rods', help='pairs of pictures of rods over clutter')
+    rods = kinds.add_parser('rods', help='image pairs of rods in front of clutter')
     _add_common(rods)
-    rods.add_argument('--rods', type=Path, help='rods.yaml; by default 5 rods of 6 marks')
     rods.add_argument(
-        '--boards', type=positive(int), default=11, help='number of boards (default %(default)s)'
+        '--rods',
+        type=Path,
+        metavar='FILE.yaml',
+        help='rods.yaml; by default 5 rods with 6 marks each',
     )
     rods.add_argument(
-        '--placement', type=float, help='placement error, m; by default that of --rods'
+        '--boards',
+        type=positive(int),
+        default=11,
+        metavar='N',
+        help='number of boards (%(default)s)',
     )
     rods.add_argument(
-        '--backgrounds', type=Path, help='folder of photographs to stand behind half of the boards'
+        '--placement',
+        type=float,
+        metavar='METRES',
+        help='standard deviation of the placement; by default that of --rods',
+    )
+    rods.add_argument(
+        '--backgrounds',
+        metavar='DIR',
+        type=Path,
+        help='folder of photographs used as the background of half of the boards',
     )
     rods.add_argument(
         '--evaluate',
         action='store_true',
-        help='write no pictures: detect the rods and compare with the truth (detection.json)',
+        help='write no images: detect the rods and compare with the truth (detection.json)',
     )
     rods.add_argument(
         '--clean',
         action='store_true',
-        help='nothing hidden, cut by the frame or tilted over 10 deg',
+        help='no rod is occluded, cut by the image border or tilted by more than 10 deg',
     )
     scene = kinds.add_parser('scene', help='two people and a bicycle at 10-20 m, as a bag')
     _add_common(scene)
@@ -72,35 +87,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--frames',
         type=positive(int),
         default=1,
-        help='picture pairs in the bag (default %(default)s)',
+        metavar='N',
+        help='image pairs in the bag (%(default)s)',
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write what was asked for."""
+    """Run ``simulate rods`` or ``simulate scene``."""
     {'rods': _rods, 'scene': _scene}[args.kind](args)
 
 
 def load_photographs(folder: Path) -> tuple[ByteImage, ...]:
-    """Read every picture of a folder as (H, W, 3) uint8.
+    """Read every image of a folder as (H, W, 3) uint8.
 
     Raises
     ------
     FileError
-        If the folder holds no readable picture.
+        If the folder holds no readable image.
 
     """
     paths = sorted(p for p in folder.glob('*') if p.suffix.lower() in PHOTOGRAPH_SUFFIXES)
     photographs = tuple(p for p in (cv2.imread(str(path)) for path in paths) if p is not None)
     if not photographs:
-        raise FileError(f'{folder} holds no picture; give a folder with .jpg or .png files')
+        raise FileError(f'{folder} holds no image; give a folder with .jpg or .png files')
     return photographs
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--output', type=Path, required=True, help='folder to write to')
+    add_output_option(parser)
     parser.add_argument(
-        '--seed', type=non_negative, default=0, help='other seed, other data (default 0)'
+        '--seed',
+        type=non_negative,
+        default=0,
+        metavar='N',
+        help='seed of the random generator (%(default)s)',
     )
 
 
@@ -114,7 +134,7 @@ def _rods(args: argparse.Namespace) -> None:
 
     def captures() -> Iterator[SimulatedCapture]:
         for index in range(args.boards):
-            # a board depends on its own seed only, not on how many were asked for
+            # a board depends on its own seed, not on the number of boards
             rng = np.random.default_rng([args.seed, index])
             options = CaptureOptions() if args.clean else mixed_options(rng, photographs)
             yield simulate_capture(board, rig, rng, options)
@@ -133,20 +153,20 @@ def _rods(args: argparse.Namespace) -> None:
 
 
 def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Path) -> None:
-    """Detect the rods of every capture, print and write the figures."""
+    """Detect the rods of every capture; print and write the figures."""
     figures = summarise_scores([score_capture(board, capture) for capture in captures])
     write_json(output / 'detection.json', figures)
     rms, seconds = figures['rms_px'], figures['seconds_per_picture']
     print(
-        f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark that both'
-        f' pictures show; {figures["wrong_identities"]} wrong identities; error'
+        f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark visible in'
+        f' both images; {figures["wrong_identities"]} wrong identities; error'
         f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
-        f' marks); {seconds["median"]:.2f} s per picture'
+        f' marks); {seconds["median"]:.2f} s per image'
     )
 
 
 def _scene(args: argparse.Namespace) -> None:
-    """Write the bag, the pair as pictures, and the truth of the left picture."""
+    """Write the bag, the last pair as images, and the truth of the left image."""
     rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
     rectified = rig.stereo_rig()
     rng = np.random.default_rng(args.seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera files in the format of ROS's camera_calibration_parsers."""
+"""Camera files in the format of camera_calibration_parsers (ROS)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MATRICES = (
     'projection_matrix',
 )
 
-# A new calibration lies here, under its folder, until all its files have taken their places.
+# Subfolder that holds a new calibration until all its files have been moved to their places.
 PENDING = '.calibration.new'
 
 
@@ -33,7 +33,8 @@ def read_camera(path: Path) -> Camera:
     FileError
         If the file cannot be read.
     CalibrationError
-        If it is not a camera file or its camera is not calibrated; begins with the file's name.
+        If it is not a camera file or its camera is not calibrated; the message begins with the
+        path.
 
     """
     try:
@@ -44,7 +45,7 @@ def read_camera(path: Path) -> Camera:
     except yaml.YAMLError as error:
         raise CalibrationError(f'{path} is not a camera file: {error}') from error
     try:
-        # numbers such as 1e-05 are text to PyYAML
+        # PyYAML reads numbers such as 1e-05 as text
         K, D, R, P = (np.array(content[name]['data'], np.float64) for name in _MATRICES)
         size = int(content['image_width']), int(content['image_height'])
         model = str(content['distortion_model'])
@@ -59,9 +60,9 @@ def read_camera(path: Path) -> Camera:
 
 
 def read_rig(folder: Path) -> StereoRig:
-    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as of `read_camera`.
+    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as in `read_camera`.
 
-    Where saving was interrupted, what was saved last is read, and nothing is moved.
+    If saving a calibration was interrupted, its new files are read where they are.
     """
     left, right = (
         read_camera(next((path for path in places if path.exists()), places[-1]))
@@ -82,7 +83,7 @@ def write_camera(path: Path, camera: Camera, name: str) -> None:
     camera : Camera
         Calibrated camera.
     name : str
-        Name of the camera, which its driver compares.
+        Name of the camera; drivers compare it with their own.
 
     """
     content = {

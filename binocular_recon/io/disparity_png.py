@@ -25,12 +25,12 @@ def read_disparity_png(path: Path) -> npt.NDArray[np.float32]:
     Raises
     ------
     FileError
-        If the file cannot be read or is no 16-bit grey picture.
+        If the file cannot be read or is not a 16-bit grey image.
 
     """
     steps = read_image_file(path)
     if steps.dtype != np.uint16 or steps.ndim != 2:
-        raise FileError(f'{path} is no disparity map: 16-bit grey is needed, got {steps.dtype}')
+        raise FileError(f'{path} is not a disparity map: 16-bit grey is needed, got {steps.dtype}')
     return np.where(steps > 0, steps / np.float32(_STEPS_PER_PX), np.float32(np.nan))
 
 

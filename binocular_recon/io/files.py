@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are either complete or absent."""
+"""Write files that are either complete or absent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def make_folder(path: Path) -> None:
-    """Make folder ``path`` with its parents, or raise a FileError that says what is in the way."""
+    """Make a folder with its parents; raises a FileError if it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -29,15 +29,15 @@ def make_folder(path: Path) -> None:
 
 @contextlib.contextmanager
 def complete_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a binary file that takes its name when it is complete.
+    """Open a binary file that appears under its name when it is complete.
 
-    An interruption or a full disk leaves neither a part of the new file nor harms an old one of
-    this name.
+    After an interruption or on a full disk, no part of the new file remains, and an old file of
+    this name is unchanged.
 
     Parameters
     ----------
     path : Path
-        The file's name; its folder must exist.
+        Path of the file; its folder must exist.
 
     Yields
     ------
@@ -68,19 +68,20 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def complete_files(folder: Path) -> Iterator[Path]:
-    """Give a folder whose files move to ``folder`` together, once all of them are complete.
+    """Open a temporary folder whose files move to ``folder`` once all of them are complete.
 
-    An interruption or a full disk leaves none of the new files and harms no old one.
+    After an interruption or on a full disk, none of the new files remains, and old files are
+    unchanged.
 
     Parameters
     ----------
     folder : Path
-        Where the files shall be; it must exist.
+        Final folder of the files; it must exist.
 
     Yields
     ------
     parts : Path
-        Hidden folder to write them to, in `folder`.
+        Hidden folder in ``folder`` to write the files to.
 
     Raises
     ------
@@ -98,14 +99,14 @@ def complete_files(folder: Path) -> Iterator[Path]:
         raise
     except OSError as error:
         raise FileError(
-            f'{folder} cannot be filled: {_reason(error)}; {_remedy(error)}'
+            f'{folder} cannot be written to: {_reason(error)}; {_remedy(error)}'
         ) from error
     finally:
         shutil.rmtree(parts, ignore_errors=True)
 
 
 def flush(path: Path) -> None:
-    """Make sure that a file, or the names in a folder, survive a power cut."""
+    """Flush a file, or the entries of a folder, to the disk, so that they survive a power cut."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

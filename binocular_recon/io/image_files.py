@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures as files."""
+"""Image files."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from binocular_recon.io.files import complete_file
 
 
 def read_image_file(path: Path) -> Image:
-    """Read a picture without changing its depth or channels.
+    """Read an image without changing its type or channels.
 
     Parameters
     ----------
     path : Path
-        PNG, JPEG, TIFF or whatever else OpenCV reads.
+        PNG, JPEG, TIFF or another format that OpenCV reads.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def read_image_file(path: Path) -> Image:
     Raises
     ------
     FileError
-        If the file cannot be read or holds no picture.
+        If the file cannot be read or is not an image.
 
     """
     try:
@@ -39,34 +39,36 @@ def read_image_file(path: Path) -> Image:
         raise FileError(f'{path} cannot be read: {error.strerror}') from error
     image = decoded_image(data)
     if image is None:
-        raise FileError(f'{path} is no picture ({data.size} bytes); give a PNG, JPEG or TIFF file')
+        raise FileError(
+            f'{path} is not an image ({data.size} bytes); give a PNG, JPEG or TIFF file'
+        )
     return image
 
 
 def decoded_image(data: npt.NDArray[np.uint8]) -> Image | None:
-    """Return the picture that the bytes of a file hold, or None if they hold none."""
+    """Return the image that the bytes of a file hold, or None if they are not an image."""
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:  # the file asks for more pixels than OpenCV takes
+    except cv2.error:  # the file claims more pixels than OpenCV accepts
         return None
     return None if image is None else np.asarray(image)
 
 
 def write_image_file(path: Path, image: Image) -> None:
-    """Write a picture in the format of its suffix, complete or not at all.
+    """Write an image in the format of its suffix, completely or not at all.
 
     Raises
     ------
     FileError
-        If the file cannot be written, or not as this kind of picture.
+        If the file cannot be written, or its format cannot hold the image.
 
     """
     try:
         data = cv2.imencode(path.suffix, image)[1]
     except cv2.error as error:
         raise FileError(
-            f'{path} cannot be written: no format of pictures of {image.dtype} ends in'
-            f' {path.suffix!r}; choose .png or .tiff'
+            f'{path} cannot be written: {path.suffix!r} is not a format for images of'
+            f' {image.dtype}; choose .png or .tiff'
         ) from error
     with complete_file(path) as file:
         file.write(data.tobytes())

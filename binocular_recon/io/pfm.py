@@ -12,7 +12,7 @@ from binocular_recon.errors import FileError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_file
 
-# Longest header line accepted, bytes: a file that is no PFM is not searched for a line end.
+# Longest header line accepted, bytes: a file that is not a PFM is not searched for a line end.
 _LINE_LIMIT = 128
 
 
@@ -55,12 +55,12 @@ def read_pfm(path: Path) -> FloatImage:
     Raises
     ------
     FileError
-        If the file cannot be read or is no grey PFM.
+        If the file cannot be read or is not a grey PFM.
 
     Notes
     -----
-    The scale's sign gives the byte order. Its amount is ignored, as the Middlebury tools do: they
-    write disparities in pixels whatever it says.
+    The sign of the scale gives the byte order. Its magnitude is ignored, as in the Middlebury
+    tools, which write disparities in pixels whatever the scale.
 
     """
     try:
@@ -95,6 +95,6 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, int, str]:
             raise ValueError
     except ValueError:
         raise FileError(
-            f'{path} is no PFM file: expected the lines "Pf", "WIDTH HEIGHT" and a scale'
+            f'{path} is not a PFM file: expected the lines "Pf", "WIDTH HEIGHT" and a scale'
         ) from None
     return width, height, '<' if scale < 0 else '>'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a bag to clouds without ROS: bounds in px and mm."""
+"""From a bag to clouds without ROS, with bounds in px and mm."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def raw_rig() -> StereoRig:
 
 
 def true_disparity(x_left: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return x_left - x_right of the wall; a plane's disparity is linear in the picture."""
+    """Return x_left - x_right of the wall; a plane's disparity is linear in the image."""
     return OFFSET_PX + 20.0 + 16.0 * (x_left / WIDTH)
 
 
-def raw_picture(camera: Camera, index: int, *, right: bool) -> npt.NDArray[np.uint8]:
-    """Return what a camera sees of the wall's texture."""
+def raw_image(camera: Camera, index: int, *, right: bool) -> npt.NDArray[np.uint8]:
+    """Return the image that a camera takes of the wall."""
     columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
     raw = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
     rectified = cv2.undistortPoints(raw, camera.K, camera.D, R=camera.R, P=camera.P[:, :3])
@@ -83,8 +83,8 @@ def write_wall(path: Path, frames: int = 2) -> Path:
     with BagWriter(path) as writer:
         for index in range(frames):
             pair = (
-                raw_picture(rig.left, index, right=False),
-                raw_picture(rig.right, index, right=True),
+                raw_image(rig.left, index, right=False),
+                raw_image(rig.right, index, right=True),
             )
             write_pair(writer, rig, pair, START_NS + index * PERIOD_NS)
     return path
@@ -92,7 +92,7 @@ def write_wall(path: Path, frames: int = 2) -> Path:
 
 @pytest.fixture(scope='module')
 def wall(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Return the bag and what `reconstruct` made of it."""
+    """Return the bag and the output folder of `reconstruct`."""
     folder = tmp_path_factory.mktemp('wall')
     bag = write_wall(folder / 'bag')
     words = ['reconstruct', str(bag), '--output', str(folder / 'out'), '--disparity-range', '48']
@@ -100,7 +100,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return bag, folder / 'out'
 
 
-def test_disparity_of_raw_distorted_pictures_is_that_of_the_wall(wall: tuple[Path, Path]) -> None:
+def test_disparity_of_raw_distorted_images_is_that_of_the_wall(wall: tuple[Path, Path]) -> None:
     for index in range(2):
         disparity_px = read_pfm(wall[1] / f'{index:06d}_disparity.pfm')
         error_px = np.abs(disparity_px - true_disparity(np.arange(WIDTH, dtype=float)))
@@ -222,7 +222,7 @@ def _normalised_error_rms(error_px: FloatImage, sigma_px: FloatImage) -> float:
     return float(np.sqrt(np.mean((error_px[correct] / sigma_px[correct]) ** 2)))
 
 
-def test_sigma_z_of_the_demo_is_honest(demo: Path) -> None:
+def test_sigma_z_of_the_demo_is_calibrated(demo: Path) -> None:
     truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
     visible = read_image_file(BAGS / 'motorcycle_truth' / 'visible.png') > 0
     vertices = read_ply(demo / '000000.ply')
@@ -236,7 +236,7 @@ def test_sigma_z_of_the_demo_is_honest(demo: Path) -> None:
 
 
 @pytest.mark.parametrize('scene', ['cones', 'teddy'])
-def test_sigma_of_other_scenes_is_honest(shared_data: Path, scene: str) -> None:
+def test_sigma_of_other_scenes_is_calibrated(shared_data: Path, scene: str) -> None:
     folder = shared_data / 'stereo' / scene
     truth_px = read_pfm(folder / 'disparity.pfm')
     config = ChainConfig.preset('default', disparity_range=65)

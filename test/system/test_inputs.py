@@ -92,7 +92,7 @@ def test_truncated_picture_is_named_and_the_next_one_used(graph: Graph) -> None:
         cut = compressed_message(images[1], header(20, 'right'), '.jpg')
         cut.data = cut.data[: len(cut.data) // 2]
         cameras.send(20, images, right_image=cut, left_info=None, right_info=None)
-        status = graph.wait_for_status('/rig/rectify_node', 'right image is not a whole file')
+        status = graph.wait_for_status('/rig/rectify_node', 'right image is truncated')
         assert status.level == status.ERROR
         cameras.send(21, images, left_info=None, right_info=None)
         assert stamp_ns(inbox.wait()[0].header) == stamp_ns(header(21))

@@ -12,11 +12,7 @@ from binocular_recon._lazy import lazy_exports
 if TYPE_CHECKING:
     from binocular_recon.evaluation.calibration.detection import BoardScore, score_capture
     from binocular_recon.evaluation.calibration.opencv_calibration import calibrate_in_two_steps
-    from binocular_recon.evaluation.calibration.self_check import (
-        check_accuracy,
-        check_rows,
-        self_check,
-    )
+    from binocular_recon.evaluation.calibration.self_check import check_accuracy, check_rows
 
 __all__ = [
     'BoardScore',
@@ -24,7 +20,6 @@ __all__ = [
     'check_accuracy',
     'check_rows',
     'score_capture',
-    'self_check',
 ]
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: ROS 1, ROS 2 sqlite3 and mcap, read and written without ROS.
 
-`reader` reads messages, also of damaged files (`_salvage`, `_sources`) and of ROS 1
-(`_ros1_conversion`); `writer` writes them; `stereo_topics` finds a rig's topics and `stereo_bag`
-pairs its images.
+`reader` reads messages, also those of damaged files (`_sources`, `_salvage`) and of ROS 1
+(`_ros1_conversion`). `writer` writes them. `stereo_topics` finds the topics of a rig, and
+`stereo_bag` pairs its images. Only this room imports rosbags.
 """
 
 from typing import TYPE_CHECKING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ROS 1 bags as ROS 2 would serialise them."""
+"""Messages of ROS 1 bags, serialised as in ROS 2."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rosbags.typesys.store import Typestore
 
 
 class Ros1Conversion:
-    """Convert serialised messages of one bag.
+    """Convert the serialised messages of one ROS 1 bag.
 
     Parameters
     ----------
     definitions : dict of str to str
-        The bag's message definitions by type, with those of their members.
+        Message definitions of the bag by type, with those of their members.
     ros2 : Typestore
-        ROS 2's types; types of the bag that it lacks keep the bag's definition.
+        Types of ROS 2; types that it lacks are added as the bag defines them.
 
     """
 
@@ -27,9 +27,9 @@ class Ros1Conversion:
         self._defaults: dict[str, object] = {}
 
     def __call__(self, msgtype: str, data: bytes) -> bytes:
-        """Return ``data`` of a ``msgtype`` in CDR.
+        """Return a message of type ``msgtype`` in CDR.
 
-        A type whose members changed from ROS 1 to ROS 2 is converted member by member.
+        If the members of its type changed from ROS 1 to ROS 2, it is converted member by member.
         """
         if msgtype not in self._ros1:
             self._register(msgtype)

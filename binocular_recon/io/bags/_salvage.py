@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read what is left of a damaged bag file: from its start, without its index, to the damage."""
+"""Read a damaged bag file from its start up to the damage, without its index."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _MAGIC = {
     'sqlite3': b'SQLite format 3\0',
     'ros1': b'#ROSBAG V2.0\n',
 }
-# Begins a message that the recorder compressed by itself; a CDR message begins with a zero.
+# First bytes of a message that the recorder compressed; those of a CDR message begin with a zero.
 _ZSTD = b'\x28\xb5\x2f\xfd'
 _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _MCAP_DATA_END = 3, 4, 5, 6, 15
 
 
-class Scanned(NamedTuple):
+class RawMessage(NamedTuple):
     """One message of a bag file."""
 
     topic: str
@@ -39,26 +39,26 @@ class Scanned(NamedTuple):
     data: bytes
 
 
-def kind_of(path: Path) -> str:
-    """Return ``mcap``, ``sqlite3`` or ``ros1`` by the first bytes of a file.
+def file_format(path: Path) -> str:
+    """Return ``mcap``, ``sqlite3`` or ``ros1``, by the first bytes of a file.
 
-    Raises a BagError if it is none of them or cannot be read.
+    Raises a BagError if the file is none of these or cannot be read.
     """
     try:
         with path.open('rb') as file:
             head = file.read(16)
     except OSError as error:
         raise BagError(f'{path} cannot be read: {error.strerror}') from error
-    for kind, magic in _MAGIC.items():
+    for name, magic in _MAGIC.items():
         if head.startswith(magic):
-            return kind
+            return name
     raise BagError(
-        f'{path} is no bag: it begins with {head[:8]!r}; give a .mcap, .db3 or .bag file or the'
+        f'{path} is not a bag: it begins with {head[:8]!r}; give a .mcap, .db3 or .bag file or the'
         ' folder that was recorded'
     )
 
 
-def scan(path: Path) -> Iterator[Scanned]:
+def scan_messages(path: Path) -> Iterator[RawMessage]:
     """Yield the messages of a bag file in the order of the file.
 
     Parameters
@@ -68,43 +68,43 @@ def scan(path: Path) -> Iterator[Scanned]:
 
     Yields
     ------
-    message : Scanned
-        Until the damage, where the decoder's error is raised, of whatever kind.
+    message : RawMessage
+        At the damage, the decoder's error is raised; it may be of any type.
 
     Raises
     ------
     BagError
-        If it is no bag or ends inside a record.
+        If the file is not a bag or ends inside a record.
 
     """
-    kind = kind_of(path)
+    kind = file_format(path)
     if kind == 'sqlite3':
         messages = _scan_sqlite(path)
     else:
         messages = _scan_mcap(path) if kind == 'mcap' else _scan_ros1(path)
     for message in messages:
-        yield message if kind == 'ros1' else message._replace(data=unpacked(message.data))
+        yield message if kind == 'ros1' else message._replace(data=decompressed(message.data))
 
 
-def unpacked(cdr: bytes) -> bytes:
-    """Return a ROS 2 message without the compression of its recorder, if it has one."""
+def decompressed(cdr: bytes) -> bytes:
+    """Return a ROS 2 message, decompressed if its recorder compressed it."""
     return DECOMPRESSORS['zstd'](cdr, 0) if cdr.startswith(_ZSTD) else cdr
 
 
-def _scan_sqlite(path: Path) -> Iterator[Scanned]:
+def _scan_sqlite(path: Path) -> Iterator[RawMessage]:
     with closing(sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)) as database:
-        # Opens a file that is shorter than its first page says.
+        # Without this, SQLite refuses a file shorter than its first page says.
         database.execute('PRAGMA writable_schema=ON')
         topics = {row[0]: row[1:] for row in database.execute('SELECT id, name, type FROM topics')}
-        # By rowid, the order of the pages; the index on the timestamps may be lost.
+        # By rowid, in the order of the pages: the index on the timestamps may be lost.
         for topic_id, stamp_ns, data in database.execute(
             'SELECT topic_id, timestamp, data FROM messages ORDER BY id'
         ):
             name, msgtype = topics[topic_id]
-            yield Scanned(name, msgtype, '', stamp_ns, data)
+            yield RawMessage(name, msgtype, '', stamp_ns, data)
 
 
-def _scan_mcap(path: Path) -> Iterator[Scanned]:
+def _scan_mcap(path: Path) -> Iterator[RawMessage]:
     with path.open('rb') as file:
         file.seek(len(_MAGIC['mcap']))
         yield from _mcap_messages(file, {}, {})
@@ -112,8 +112,8 @@ def _scan_mcap(path: Path) -> Iterator[Scanned]:
 
 def _mcap_messages(
     file: BinaryIO, schemas: dict[int, str], channels: dict[int, tuple[str, str]]
-) -> Iterator[Scanned]:
-    """Yield messages of a file and, called by itself, of a chunk."""
+) -> Iterator[RawMessage]:
+    """Yield the messages of a file or, in recursion, of a chunk."""
     while head := file.read(9):
         kind, size = struct.unpack('<BQ', head)
         content = _read(file, size)
@@ -129,7 +129,7 @@ def _mcap_messages(
             yield from _mcap_messages(BytesIO(_unpack_chunk(content)), schemas, channels)
         elif kind == _MCAP_MESSAGE:
             channel, _, stamp_ns = struct.unpack_from('<HIQ', content)
-            yield Scanned(*channels[channel], '', stamp_ns, content[22:])
+            yield RawMessage(*channels[channel], '', stamp_ns, content[22:])
 
 
 def _mcap_string(content: bytes, offset: int) -> str:
@@ -140,13 +140,13 @@ def _mcap_string(content: bytes, offset: int) -> str:
 def _unpack_chunk(content: bytes) -> bytes:
     _, _, size, crc = struct.unpack_from('<QQQI', content)
     compression = _mcap_string(content, 28)
-    unpacked = DECOMPRESSORS[compression](content[40 + len(compression) :], size)
-    if crc and crc32(unpacked) != crc:
+    chunk = DECOMPRESSORS[compression](content[40 + len(compression) :], size)
+    if crc and crc32(chunk) != crc:
         raise BagError('a chunk does not match its checksum')
-    return unpacked
+    return chunk
 
 
-def _scan_ros1(path: Path) -> Iterator[Scanned]:
+def _scan_ros1(path: Path) -> Iterator[RawMessage]:
     with path.open('rb') as file:
         file.seek(len(_MAGIC['ros1']))
         yield from _ros1_messages(file, {})
@@ -154,15 +154,15 @@ def _scan_ros1(path: Path) -> Iterator[Scanned]:
 
 def _ros1_messages(
     file: BinaryIO, connections: dict[int, tuple[str, str, str]]
-) -> Iterator[Scanned]:
-    """Yield messages of a file and, called by itself, of a chunk."""
+) -> Iterator[RawMessage]:
+    """Yield the messages of a file or, in recursion, of a chunk."""
     while length := file.read(4):
         header = _ros1_header(file, length)
         content = _read(file, struct.unpack('<I', _read(file, 4))[0])
         kind = header.get_uint8('op')
         if kind == RecordType.CHUNK:
-            unpacked = decompressors[header.get_string('compression')](content)
-            yield from _ros1_messages(BytesIO(unpacked), connections)
+            chunk = decompressors[header.get_string('compression')](content)
+            yield from _ros1_messages(BytesIO(chunk), connections)
         elif kind == RecordType.CONNECTION:
             fields = _ros1_header(BytesIO(content), struct.pack('<I', len(content)))
             connections[header.get_uint32('conn')] = (
@@ -172,7 +172,7 @@ def _ros1_messages(
             )
         elif kind == RecordType.MSGDATA:
             connection = connections[header.get_uint32('conn')]
-            yield Scanned(*connection, header.get_time('time'), content)
+            yield RawMessage(*connection, header.get_time('time'), content)
 
 
 def _ros1_header(file: BinaryIO, length: bytes) -> Header:
@@ -181,7 +181,7 @@ def _ros1_header(file: BinaryIO, length: bytes) -> Header:
 
 
 def _read(file: BinaryIO, size: int) -> bytes:
-    """Read ``size`` bytes; a damaged size must not ask for more memory than the file has."""
+    """Read ``size`` bytes, without allocating more than the file holds if the size is damaged."""
     here = file.tell()
     left = file.seek(0, os.SEEK_END) - here
     file.seek(here)

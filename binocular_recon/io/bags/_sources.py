@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of bags: whole, as the rosbags library reads them, or what is left of them."""
+"""The files of bags: intact ones as the rosbags library reads them, and damaged ones."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag1, QosDurability, 
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
-from binocular_recon.io.bags import _salvage as _bag_salvage
+from binocular_recon.io.bags._salvage import decompressed, scan_messages
 
-# DDS does not tell the depth of a publisher, so recorders store 0: rclpy's usual depth then.
+# DDS does not transmit the depth of a publisher, so recorders store 0; rclpy's usual depth then.
 DEFAULT_DEPTH = 10
 
 
 class TopicQos(NamedTuple):
-    """Quality of service that a topic was offered with."""
+    """Quality of service that the publishers of a topic offered."""
 
     reliable: bool = True
     transient_local: bool = False
@@ -35,12 +35,12 @@ class Topic(NamedTuple):
     qos: TopicQos
 
 
-# A message as its file holds it.
+# A message as stored in its file: topic, time of recording in ns, bytes.
 Message = tuple[Topic, int, bytes]
 
 
-class Recording(NamedTuple):
-    """Messages of a topic in one file, and what their publishers offered."""
+class RecordedTopic(NamedTuple):
+    """A topic in one file, and the quality of service that each publisher offered."""
 
     name: str
     msgtype: str
@@ -52,7 +52,7 @@ class Source(Protocol):
     """A file or folder with messages."""
 
     path: Path
-    connections: list[Recording]
+    connections: list[RecordedTopic]
     start_ns: int
     ros1: bool
     definitions: dict[str, str]
@@ -62,8 +62,8 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class Recorded:
-    """A bag, or one file of it, as the rosbags library reads it."""
+class IntactSource:
+    """A bag, or one file of it, read by the rosbags library."""
 
     def __init__(self, path: Path, *, ros1: bool = False) -> None:
         self.path, self.ros1 = path, ros1
@@ -72,24 +72,24 @@ class Recorded:
         recorded = self._reader.connections
         self.start_ns = self._reader.start_time
         self.connections = [
-            Recording(x.topic, x.msgtype, x.msgcount, _offers(x)) for x in recorded
+            RecordedTopic(x.topic, x.msgtype, x.msgcount, _offers(x)) for x in recorded
         ]
         self.definitions = {x.msgtype: x.msgdef.data for x in recorded}
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         by_key = {(topic.name, topic.msgtype): topic for topic in topics}
         wanted = [x for x in self._reader.connections if (x.topic, x.msgtype) in by_key]
-        if wanted:  # none means all to rosbags
+        if wanted:  # rosbags reads all topics if none is given
             for connection, stamp_ns, data in self._reader.messages(wanted):
                 topic = by_key[connection.topic, connection.msgtype]
-                yield topic, stamp_ns, data if self.ros1 else _bag_salvage.unpacked(data)
+                yield topic, stamp_ns, data if self.ros1 else decompressed(data)
 
     def close(self) -> None:
         self._reader.close()
 
 
-class Salvaged:
-    """A file that rosbags cannot open, read from its start to the damage."""
+class DamagedSource:
+    """A file that rosbags cannot open, read from its start up to the damage."""
 
     def __init__(self, path: Path, *, ros1: bool, note: Callable[[Path, Exception], None]) -> None:
         self.path, self.ros1 = path, ros1
@@ -97,27 +97,27 @@ class Salvaged:
         self.definitions = {}
         counts: Counter[tuple[str, str]] = Counter()
         try:
-            for message in _bag_salvage.scan(path):
+            for message in scan_messages(path):
                 counts[message.topic, message.msgtype] += 1
                 self.start_ns = min(self.start_ns, message.stamp_ns)
                 self.definitions[message.msgtype] = message.definition
-        except Exception as error:  # noqa: BLE001 - decoders of damaged data raise all kinds
+        except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             note(path, error)
-        self.connections = [Recording(*key, count, []) for key, count in counts.items()]
+        self.connections = [RecordedTopic(*key, count, []) for key, count in counts.items()]
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         by_key = {(topic.name, topic.msgtype): topic for topic in topics}
-        for message in _bag_salvage.scan(self.path):
+        for message in scan_messages(self.path):
             topic = by_key.get((message.topic, message.msgtype))
             if topic:
                 yield topic, message.stamp_ns, message.data
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
 
 def _offers(connection: Connection) -> list[TopicQos]:
-    """Return what each recorded publisher of a connection offered."""
+    """Return the quality of service that each publisher of a connection offered."""
     if isinstance(connection.ext, ConnectionExtRosbag1):
         return [TopicQos(transient_local=bool(connection.ext.latching))]
     return [

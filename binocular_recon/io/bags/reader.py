@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read bags: ROS 1, ROS 2 sqlite3 and mcap, without ROS.
-
-Only this module, `bag_writer`, `_bag_sources`, `_bag_salvage` and `_ros1_conversion` know the
-rosbags library.
-"""
+"""Read bags: ROS 1, ROS 2 sqlite3 and mcap, without ROS."""
 
 from __future__ import annotations
 
@@ -21,12 +17,12 @@ from rosbags.typesys.store import Typestore
 
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
-from binocular_recon.io.bags._salvage import kind_of
+from binocular_recon.io.bags._salvage import file_format
 from binocular_recon.io.bags._sources import (
     DEFAULT_DEPTH,
+    DamagedSource,
+    IntactSource,
     Message,
-    Recorded,
-    Salvaged,
     Source,
     Topic,
     TopicQos,
@@ -38,7 +34,7 @@ _SUFFIXES = ('.mcap', '.db3', '.bag')
 
 
 class BagMessage(NamedTuple):
-    """A recorded message; ``cdr`` is serialised for ROS 2 whatever the bag's format."""
+    """A recorded message; ``cdr`` holds ROS 2 bytes whatever the format of the bag."""
 
     topic: Topic
     stamp_ns: int
@@ -46,7 +42,7 @@ class BagMessage(NamedTuple):
 
 
 class Bag(AbstractContextManager['Bag']):
-    """A bag that is open for reading.
+    """A bag, open for reading.
 
     Parameters
     ----------
@@ -60,12 +56,12 @@ class Bag(AbstractContextManager['Bag']):
     topics : list of Topic
         Topics with at least one message, sorted by name.
     damage : list of str
-        What could not be read, in sentences; grows while messages are read.
+        Sentences about what could not be read; grows while messages are read.
 
     Raises
     ------
     BagError
-        If there is no bag or no message in it.
+        If the path is not a bag, or the bag holds no message.
 
     """
 
@@ -79,23 +75,25 @@ class Bag(AbstractContextManager['Bag']):
             for name, msgtype, count, offered in source.connections:
                 counts[name, msgtype] += count
                 offers[name, msgtype] += offered
-        self.topics = [Topic(*key, counts[key], _together(offers[key])) for key in sorted(+counts)]
+        self.topics = [
+            Topic(*key, counts[key], _combined_qos(offers[key])) for key in sorted(+counts)
+        ]
         if not self.topics:
             self.close()
             raise BagError('; '.join([f'{path} holds no message', *self.damage]))
 
     def messages(self, topics: Collection[Topic] = ()) -> Iterator[BagMessage]:
-        """Yield messages in the order of recording; the bag is never in memory as a whole.
+        """Yield messages in the order of recording, without loading the whole bag.
 
         Parameters
         ----------
         topics : collection of Topic, optional
-            Topics wanted; all by default.
+            Topics to read; all by default.
 
         Yields
         ------
         message : BagMessage
-            Where a file is damaged, its messages end and `damage` says so.
+            Those of a damaged file end at the damage, which is added to `damage`.
 
         """
         wanted = topics or self.topics
@@ -104,7 +102,7 @@ class Bag(AbstractContextManager['Bag']):
             try:
                 for message in self._as_ros2(source, messages) if source.ros1 else messages:
                     yield BagMessage(*message)
-            except Exception as error:  # noqa: BLE001 - decoders of damaged data raise all kinds
+            except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
                 self._note_damage(source.path, error)
 
     def close(self) -> None:
@@ -118,15 +116,17 @@ class Bag(AbstractContextManager['Bag']):
 
     def _as_ros2(self, source: Source, messages: Iterator[Message]) -> Iterator[Message]:
         convert = Ros1Conversion(source.definitions, ros2_types())
-        refused = set()
+        inconvertible = set()
         for topic, stamp_ns, data in messages:
-            if topic in refused:
+            if topic in inconvertible:
                 continue
             try:
                 yield topic, stamp_ns, convert(topic.msgtype, data)
             except Exception as error:  # noqa: BLE001 - definitions may hold anything
-                refused.add(topic)
-                self.note(f'{topic.name} is left out: {topic.msgtype} has no ROS 2 form: {error}')
+                inconvertible.add(topic)
+                self.note(
+                    f'{topic.name} is left out: {topic.msgtype} cannot be converted: {error}'
+                )
 
     def _open(self) -> Iterator[Source]:
         if not self.path.exists():
@@ -137,7 +137,7 @@ class Bag(AbstractContextManager['Bag']):
         files = self._listed_files()
         if any(path.suffix == '.zstd' for path in files):
             try:
-                yield Recorded(self.path)  # which unpacks them
+                yield IntactSource(self.path)  # rosbags decompresses them
             except Exception as error:  # noqa: BLE001 - as above
                 self._note_damage(self.path, error)
                 files = []
@@ -153,10 +153,10 @@ class Bag(AbstractContextManager['Bag']):
                 self.note(str(error))
 
     def _listed_files(self) -> list[Path]:
-        """Return the files that metadata.yaml lists, none if there is none that fits.
+        """Return the files that metadata.yaml lists; none if it is absent or does not fit.
 
-        Each file is opened by itself, so that damage costs the end of one file only; all else
-        that metadata.yaml says is in the files too.
+        Each file is opened by itself, so that damage costs the end of one file only; the rest of
+        metadata.yaml is in the files too.
         """
         metadata = self.path / 'metadata.yaml'
         if not metadata.exists():
@@ -165,30 +165,31 @@ class Bag(AbstractContextManager['Bag']):
             content = yaml.safe_load(metadata.read_bytes())['rosbag2_bagfile_information']
             files = [self.path / PurePath(name).name for name in content['relative_file_paths']]
         except Exception as error:  # noqa: BLE001 - as above
-            self.note(f'{metadata} is damaged ({error}); all files beside it are read')
+            self.note(f'{metadata} is damaged ({error}); all files in its folder are read')
             return []
         missing = [path.name for path in files if not path.exists()]
         if missing:
-            self.note(f'{", ".join(missing)} of {metadata} is missing; all files there are read')
+            names = ', '.join(missing)
+            self.note(f'{metadata} lists missing files: {names}; all files in its folder are read')
             return []
         return files
 
     def _nothing_found(self) -> list[str]:
         problem = f'{self.path} holds no bag file ({", ".join(_SUFFIXES)})'
         if any(path.suffix == '.zstd' for path in self.path.iterdir()):
-            return [problem, 'unpack its .zstd files with zstd -d: they need metadata.yaml']
+            return [problem, 'decompress its .zstd files with zstd -d or restore metadata.yaml']
         return [problem, 'give the folder or file that was recorded']
 
     def _open_file(self, path: Path) -> Source:
-        kind = kind_of(path)
+        ros1 = file_format(path) == 'ros1'
         try:
-            return Recorded(path, ros1=kind == 'ros1')
+            return IntactSource(path, ros1=ros1)
         except Exception:  # noqa: BLE001 - as above
-            return Salvaged(path, ros1=kind == 'ros1', note=self._note_damage)
+            return DamagedSource(path, ros1=ros1, note=self._note_damage)
 
     def _note_damage(self, path: Path, error: Exception) -> None:
         reason = str(error) or type(error).__name__
-        self.note(f'{path} is damaged ({reason}); what precedes the damage is used')
+        self.note(f'{path} is damaged ({reason}); messages before the damage are used')
 
     def note(self, sentence: str) -> None:
         """Add a sentence to `damage`, once."""
@@ -196,8 +197,8 @@ class Bag(AbstractContextManager['Bag']):
             self.damage.append(sentence)
 
 
-def _together(offers: list[TopicQos]) -> TopicQos:
-    """Return what all recorded publishers of a topic together offered."""
+def _combined_qos(offers: list[TopicQos]) -> TopicQos:
+    """Return the strongest quality of service that any publisher of a topic offered."""
     if not offers:
         return TopicQos()
     return TopicQos(
@@ -209,14 +210,14 @@ def _together(offers: list[TopicQos]) -> TopicQos:
 
 @cache
 def ros2_types() -> Typestore:
-    """Return ROS 2's message types; images and camera infos are alike in all distributions."""
+    """Return the message types of ROS 2; those used here are the same in all distributions."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def decode(msgtype: str, cdr: bytes) -> Any:
-    """Return a serialised message as a dataclass with the message's members.
+    """Return a serialised message as a dataclass with the members of the message.
 
-    Raises a BagError if the bytes are no such message.
+    Raises a BagError if the bytes are not a message of this type.
     """
     try:
         return ros2_types().deserialize_cdr(cdr, msgtype)

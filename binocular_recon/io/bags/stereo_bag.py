@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture pairs of a bag."""
+"""The image pairs of a bag."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from binocular_recon.io.messages.camera_infos import calibration_content, rig_fr
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.pairing import Synchronizer
 
-# Pictures of one camera that may wait for the other's: recorders mix the cameras' messages.
-_WAITING = 50
+# Images of one camera that wait for the other's: recorders interleave the cameras unevenly.
+_QUEUE_SIZE = 50
 
 
 @dataclass(frozen=True, eq=False)
 class StereoFrame:
-    """Two pictures of the same instant.
+    """A time-stamped image pair.
 
     Attributes
     ----------
     stamp_ns : int
-        Header stamp of the left picture.
+        Header stamp of the left image.
     rig : StereoRig
         Calibration at that instant; the same object until it changes.
     left, right : sensor_msgs/Image or sensor_msgs/CompressedImage
-        Decoded when `images` is called.
+        Messages; `images` decodes them.
 
     """
 
@@ -41,7 +41,7 @@ class StereoFrame:
     right: Any
 
     def images(self) -> tuple[Image, Image]:
-        """Return left and right as grey, BGR or BGRA; raises an ImageError if one is damaged."""
+        """Return left and right, grey, BGR or BGRA; raises an ImageError if one is damaged."""
         return (
             read_image(self.left, 'left image').image,
             read_image(self.right, 'right image').image,
@@ -49,7 +49,7 @@ class StereoFrame:
 
 
 class _Arrival(NamedTuple):
-    """A picture, its place in the recording, and the camera infos that preceded it."""
+    """An image, its place in the recording, and the camera infos that preceded it."""
 
     number: int
     message: Any
@@ -57,23 +57,23 @@ class _Arrival(NamedTuple):
 
 
 class StereoBag:
-    """The picture pairs of an open bag.
+    """The image pairs of an open bag.
 
     Parameters
     ----------
     bag : Bag
     topics : StereoTopics
     rig : StereoRig, optional
-        Calibration that replaces the recorded one; needed if ``topics`` names no camera infos.
+        Replaces the recorded calibration; required if ``topics`` names no camera infos.
     tolerance_ns : int
-        Largest difference of the stamps of a pair; 0 pairs equal stamps only.
+        Largest difference between the stamps of a pair; 0 pairs equal stamps only.
 
     Attributes
     ----------
     expected : int
-        Number of pairs if every picture finds its partner.
-    pictures : int
-        Number of pictures read so far.
+        Number of pairs if every image finds its partner.
+    images_read : int
+        Number of images read so far.
 
     """
 
@@ -90,77 +90,77 @@ class StereoBag:
         self._images = [recorded[name] for name in topics.images]
         self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
         self._synchronizer = Synchronizer(
-            topics.images, queue_size=_WAITING, tolerance_ns=tolerance_ns
+            topics.images, queue_size=_QUEUE_SIZE, tolerance_ns=tolerance_ns
         )
-        self.pictures = self._pairs = 0
+        self.images_read = self._pairs = 0
         self._ended = False
         self.expected = min(topic.message_count for topic in self._images)
 
     @property
     def unpaired(self) -> int:
-        """Pictures that found no partner; of those that may still find theirs, none."""
+        """Number of images without a partner; those that may still find one do not count."""
         if self._ended:
-            return self.pictures - 2 * self._pairs
+            return self.images_read - 2 * self._pairs
         return self._synchronizer.dropped.total()
 
     def __iter__(self) -> Iterator[StereoFrame]:
-        """Yield the pairs in the order of recording; of each camera at most 50 pictures wait.
+        """Yield the pairs in the order of recording; at most 50 images of each camera wait.
 
         Raises
         ------
         BagError
-            At the end, if no left and right picture belong together.
+            At the end, if no left image was paired with a right one.
         CalibrationError
-            If the first camera infos hold no calibration.
+            If the first camera infos are not calibrated.
 
         """
         infos = self._first_infos()
         rig: StereoRig | None = self._rig or rig_from_messages(*infos)
-        for left, right in self._arrivals(infos):
+        for left, right in self._paired(infos):
             self._pairs += 1
-            # of the later picture: by then both cameras' infos have changed
-            latest = max(left, right, key=lambda picture: picture.number).infos
+            # those of the later image: by then the infos of both cameras have changed
+            latest = max(left, right, key=lambda arrival: arrival.number).infos
             if latest is not infos:
                 infos, rig = latest, self._changed_rig(latest)
             if rig:
                 yield StereoFrame(stamp_ns(left.message.header), rig, left.message, right.message)
         if not self._pairs:
-            raise BagError(f'{self._bag.path}: {self._complaint()}')
+            raise BagError(f'{self._bag.path}: {self._why_unpaired()}')
 
-    def _arrivals(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
-        """Yield the pictures that belong together, each with the camera infos that preceded it."""
+    def _paired(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
+        """Yield left and right images that belong together."""
         for number, (topic, message) in enumerate(self._decoded([*self._images, *self._infos])):
             if topic in self._infos:
                 infos = _replaced(infos, self._infos.index(topic), message)
                 continue
-            self.pictures += 1
+            self.images_read += 1
             arrival = _Arrival(number, message, infos)
             yield from self._synchronizer.add(topic.name, stamp_ns(message.header), arrival)
         yield from self._synchronizer.finish()
         self._ended = True
 
-    def _complaint(self) -> str:
-        """Say why nothing was paired."""
-        missing = self._synchronizer.explain()
-        if missing is None:
-            return 'only one camera has pictures that can be read'
-        text, needed_s = missing
-        return f'{text}; allow that with --approximate-sync-tolerance-seconds {needed_s:g}'
+    def _why_unpaired(self) -> str:
+        """Return why no images were paired."""
+        mismatch = self._synchronizer.explain()
+        if mismatch is None:
+            return 'only one camera has images that can be read'
+        text, needed_s = mismatch
+        return f'{text}; pair them with --approximate-sync-tolerance-seconds {needed_s:g}'
 
     def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
         try:
             return rig_from_messages(*infos)
         except CalibrationError as error:
-            self._bag.note(f'pictures are left out while the camera infos do not fit: {error}')
+            self._bag.note(f'images with unusable camera infos are left out: {error}')
             return None
 
     def _first_infos(self) -> tuple[Any, ...]:
-        """Return the first camera info of each side: pictures may have been recorded before."""
+        """Return the first camera info of each side: images may have been recorded before it."""
         first: list[Any] = []
         for info in self._infos:
             message = next((message for _, message in self._decoded([info])), None)
             if message is None:
-                raise BagError(f'{self._bag.path}: no {info.name} can be read')
+                raise BagError(f'{self._bag.path}: no message on {info.name} can be read')
             first.append(message)
         return tuple(first)
 
@@ -173,7 +173,7 @@ class StereoBag:
 
 
 def _replaced(infos: tuple[Any, ...], side: int, info: Any) -> tuple[Any, ...]:
-    """Return ``infos`` with that of one side replaced, the same object if it says the same."""
+    """Return ``infos`` with one side replaced; the same object if the calibration is the same."""
     if calibration_content(info) == calibration_content(infos[side]):
         return infos
     return (info, infos[1]) if side == 0 else (infos[0], info)

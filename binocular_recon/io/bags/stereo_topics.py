@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a bag are a stereo rig's."""
+"""Find the topics of a stereo rig in a bag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from binocular_recon.io.bags.reader import Topic
 
 _IMAGE_TYPES: tuple[str, ...] = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 _INFO_TYPES = ('sensor_msgs/msg/CameraInfo',)
-# Preferred first: our own rectification knows the distortion and the borders of the picture.
+# In order of preference: after our own rectification we know where the image has no data.
 _LAYOUTS = (
     ('image_raw', 'camera_info', False),
     ('image_rect', 'camera_info_rect', True),
@@ -28,9 +28,9 @@ class StereoTopics(NamedTuple):
     images : (str, str)
         Image or CompressedImage of the left and the right camera.
     infos : (str, str) or None
-        Their CameraInfo; None if the calibration comes from elsewhere.
+        Their CameraInfo; None if a calibration folder replaces it.
     rectified : bool
-        Whether the pictures are rectified already.
+        Whether the images are already rectified.
 
     """
 
@@ -47,16 +47,16 @@ def find_stereo_topics(
     Parameters
     ----------
     topics : list of Topic
-        What the bag has.
+        Topics of the bag.
     namespace : str, optional
-        Namespace of the rig; needed where the bag has several.
+        Namespace of the rig; required if the bag has several rigs.
     calibrated : bool
-        Whether the calibration comes from elsewhere, so that no camera infos are needed.
+        Whether a calibration folder replaces the camera infos.
 
     Raises
     ------
     BagError
-        If there is no rig or more than one.
+        If the bag has no rig or more than one.
 
     """
     have = {topic.name: topic.msgtype for topic in topics}
@@ -68,7 +68,7 @@ def find_stereo_topics(
                 found[space] = rig
     if len(found) > 1:
         raise BagError(
-            f'several stereo rigs are recorded: {", ".join(found)}; choose one with --namespace'
+            f'the bag has several stereo rigs: {", ".join(found)}; choose one with --namespace'
         )
     if not found:
         where = '' if namespace is None else f' in namespace {namespace}'
@@ -76,7 +76,7 @@ def find_stereo_topics(
         remedy = '' if calibrated else ', or give --calibration DIR for the camera_info'
         raise BagError(
             f'there is no left/image_raw and right/image_raw (or image_rect){infos}{where};'
-            f' name the topics with --left-image and --right-image{remedy}; {_listed(topics)}'
+            f' name the topics with --left-image and --right-image{remedy}; {_describe(topics)}'
         )
     return next(iter(found.values()))
 
@@ -89,25 +89,25 @@ def name_stereo_topics(
     rectified: bool | None = None,
     calibrated: bool = False,
 ) -> StereoTopics:
-    """Return the topics that a user has named, checked against the bag.
+    """Check the topics that the user named against the bag and return them.
 
     Parameters
     ----------
     topics : list of Topic
-        What the bag has.
+        Topics of the bag.
     images : (str, str)
-        Left and right picture.
+        Topics of the left and the right image.
     infos : (str, str), optional
-        Left and right camera info; by default ``camera_info`` beside the pictures.
+        Topics of the camera infos; by default ``camera_info`` beside the images.
     rectified : bool, optional
-        Whether the pictures are rectified; by default if their name says so.
+        Whether the images are rectified; by default if their name contains ``rect``.
     calibrated : bool
-        Whether the calibration comes from elsewhere.
+        Whether a calibration folder replaces the camera infos.
 
     Raises
     ------
     BagError
-        If a topic is missing or of another type, or the same is named twice.
+        If a topic is missing or has another type, or both images are the same topic.
 
     """
     if images[0] == images[1]:
@@ -121,14 +121,14 @@ def name_stereo_topics(
         wanted |= dict.fromkeys(infos, _INFO_TYPES)
     for name, types in wanted.items():
         if have.get(name) not in types:
-            raise BagError(f'there is no {name} of type {" or ".join(types)}; {_listed(topics)}')
+            raise BagError(f'there is no {name} of type {" or ".join(types)}; {_describe(topics)}')
     if rectified is None:
         rectified = 'rect' in left[2]
     return StereoTopics(images, None if calibrated else infos, rectified)
 
 
 def _namespaces(have: dict[str, str]) -> set[str]:
-    """Return what precedes ``left/image...`` in topics, with its last slash."""
+    """Return what precedes ``left/image_`` in topic names, with its last slash."""
     spaces = (name.rpartition('left/image_') for name in have)
     return {space for space, found, _ in spaces if found and (not space or space[-1] == '/')}
 
@@ -145,6 +145,6 @@ def _rig_in(space: str, have: dict[str, str], *, calibrated: bool) -> StereoTopi
     return None
 
 
-def _listed(topics: list[Topic]) -> str:
+def _describe(topics: list[Topic]) -> str:
     names = (f'{topic.name} ({topic.msgtype}, {topic.message_count})' for topic in topics)
     return f'the bag has {", ".join(names)}'

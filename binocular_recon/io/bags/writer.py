@@ -38,12 +38,12 @@ def new_message(msgtype: str) -> Any:
 
 
 class BagWriter(AbstractContextManager['BagWriter']):
-    """Write a ROS 2 bag in mcap, its chunks compressed.
+    """Write a ROS 2 bag: mcap with compressed chunks.
 
     Parameters
     ----------
     path : Path
-        Folder to make; it must not exist.
+        Folder of the bag; it must not exist.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         self._connections: dict[str, Connection] = {}
 
     def write(self, topic: str, message: Any, stamp_ns: int, qos: TopicQos = RELIABLE) -> None:
-        """Append a message made by `new_message`; its topic's first one sets type and QoS."""
+        """Append a message of `new_message`; the first of a topic sets its type and QoS."""
         msgtype = message.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
@@ -81,7 +81,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Write the index, or only close the file after an error."""
+        """Write the index; after an error, only close the file."""
         self._writer.__exit__(kind, error, traceback)
 
 
@@ -102,30 +102,30 @@ def _offer(qos: TopicQos) -> Qos:
 def write_pair(
     writer: BagWriter, rig: StereoRig, pair: tuple[Image, Image], stamp_ns: int
 ) -> None:
-    """Append a picture pair with its calibration, named as the nodes expect them.
+    """Append an image pair and its camera infos, on the topics that the nodes read.
 
     Parameters
     ----------
     writer : BagWriter
     rig : StereoRig
-        Calibration of the pictures.
+        Calibration of the images.
     pair : (image, image)
         Left and right: (H, W) or (H, W, 3) BGR, uint8 or uint16.
     stamp_ns : int
-        Time of both pictures and of the recording.
+        Stamp of both images, and time of the recording.
 
     Raises
     ------
     ImageError
-        If a picture is of another kind.
+        If an image has another type or number of channels.
 
     """
     for side, camera, image in zip(('left', 'right'), (rig.left, rig.right), pair, strict=True):
         header = new_message('std_msgs/msg/Header')
         header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         header.frame_id = f'camera_{side}_optical'
-        picture, info = new_message(_IMAGE), new_message(_INFO)
-        fill_image(picture, image, plain_encoding(image), header)
+        message, info = new_message(_IMAGE), new_message(_INFO)
+        fill_image(message, image, plain_encoding(image), header)
         fill_camera_info(info, camera, header)
         writer.write(f'/{side}/camera_info', info, stamp_ns)
-        writer.write(f'/{side}/image_raw', picture, stamp_ns)
+        writer.write(f'/{side}/image_raw', message, stamp_ns)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS messages as arrays, cameras and rigs, and back.
+"""Convert ROS messages to arrays, cameras and rigs, and back, without ROS.
 
-Attributes only: the same functions serve rclpy's messages and those of bags. `images`,
-`camera_infos`, `disparities` and `clouds` hold the layout of one kind of message each.
+The functions only read and set attributes, so they serve messages of rclpy and of bags alike.
+`images`, `camera_infos`, `disparities` and `clouds` hold one message type each.
 """
 
 from typing import TYPE_CHECKING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CameraInfo messages as cameras, and back."""
+"""Convert CameraInfo messages to cameras, and back."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from binocular_recon.io.messages.images import assign_array
 
 
 def camera_from_message(info: Any, name: str = 'camera') -> Camera:
-    """Return the camera of a CameraInfo (ROS 2's ``k`` or ROS 1's ``K``).
+    """Return the camera of a CameraInfo, with ROS 2's ``k`` or ROS 1's ``K``.
 
-    Binning and region of interest are applied: the camera is that of the picture as sent.
+    Binning and region of interest are applied: the camera is that of the image as sent.
 
     Raises
     ------
     CalibrationError
-        If the camera is not calibrated or contradicts itself; it begins with ``name``.
+        If the camera is not calibrated or contradicts itself; the message begins with ``name``.
 
     """
     K, D, R, P = (
@@ -43,14 +43,14 @@ def camera_from_message(info: Any, name: str = 'camera') -> Camera:
 
 
 def rig_from_messages(left: Any, right: Any) -> StereoRig:
-    """Return the rig of two CameraInfos; raises a CalibrationError that names the camera."""
+    """Return the rig of two CameraInfos; a CalibrationError names the camera at fault."""
     return StereoRig(
         camera_from_message(left, 'left camera'), camera_from_message(right, 'right camera')
     )
 
 
 def calibration_content(info: Any) -> tuple[Any, ...]:
-    """Return what a CameraInfo says besides its header, to be compared."""
+    """Return the content of a CameraInfo without its header, for comparisons."""
     roi = info.roi
     return (
         *(np.asarray(getattr(info, member)).tobytes() for member in 'kdrp'),
@@ -60,7 +60,7 @@ def calibration_content(info: Any) -> tuple[Any, ...]:
 
 
 def fill_camera_info(message: Any, camera: Camera, header: Any) -> None:
-    """Fill a CameraInfo message with ``camera``; binning and region of interest stay zero."""
+    """Fill a CameraInfo message; binning and region of interest stay zero."""
     message.header = header
     message.width, message.height = camera.size
     message.distortion_model = camera.distortion_model

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PointCloud2 messages."""
+"""Fill PointCloud2 messages."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
 
 
 class _Layout(NamedTuple):
-    """Size of a point and the place of its members, in floats of 4 bytes."""
+    """Size of a point and positions of its fields, in units of 4 bytes."""
 
     size: int
     rgb: int | None
     sigma_z: int
 
 
-# (colour, padding): x y z come first; padded points are those of PCL and image_pipeline, and
-# sigma_z takes a place that they leave free.
+# By (colour, padding); x y z come first. Padded points have the layout of PCL and image_pipeline,
+# with sigma_z in a position that these leave unused.
 _LAYOUTS = {
     (True, True): _Layout(8, 4, 5),
     (True, False): _Layout(5, 3, 4),
@@ -51,13 +51,13 @@ def fill_cloud(
     cloud : Cloud
         Points, metres; NaN = none.
     header : std_msgs/Header
-        Header of the left picture: the cloud is in its frame.
+        Header of the left image: the cloud is in its frame.
     point_field : type
         sensor_msgs/PointField.
     colour : (H, W, 3) uint8, optional
-        BGR of each point; without it the cloud has no field ``rgb``.
+        BGR of each point; without it the cloud has no ``rgb`` field.
     padding : bool
-        Align points to 16 bytes as PCL does; otherwise fields follow each other.
+        Align points to 16 bytes as PCL does; otherwise fields are packed.
 
     """
     height, width = cloud.sigma_z_m.shape

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DisparityImage messages: this package's, and those of stereo_image_proc.
+"""DisparityImage messages of this package and of stereo_image_proc.
 
-A message holds d - o, where d = x_left - x_right is the raw disparity and
-o = cx_left - cx_right that of a point at infinity, so Z = f T / value. Ours shift the limits and
-the marker of invalid pixels as well; stereo_image_proc shifts its marker and not its limits.
+A message holds d - o, where d = x_left - x_right is the raw disparity and o = cx_left - cx_right
+the disparity of a point at infinity, so Z = f T / value. This package also shifts the limits and
+the marker of invalid pixels; stereo_image_proc shifts the marker but not the limits.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.images import FloatImage, Mask
 from binocular_recon.io.messages.images import fill_image, image_samples
 
-# How far a value may lie from stereo_image_proc's marker, which is computed in sixteenths.
+# stereo_image_proc computes in sixteenths; a value nearer to its marker than this is the marker.
 _MARKER_TOLERANCE_PX = 1 / 32
-# Relative difference between the message's f and T and the calibration's that is still rounding.
-_SAME = 1e-3
+# Relative difference that is still rounding, between f and T of a message and of the calibration.
+_ROUNDING = 1e-3
 
 
 class DisparityMap(NamedTuple):
-    """What a DisparityImage says.
+    """Content of a DisparityImage.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class DisparityMap(NamedTuple):
 
 
 class _Convention(NamedTuple):
-    """Where a sender puts its values: the smallest valid one, and the marker below it."""
+    """How a sender shifts its values: the smallest valid one, and the marker below it."""
 
     low: float
     marker: float
@@ -48,7 +48,7 @@ class _Convention(NamedTuple):
     limits_px: tuple[float, float]
 
     def valid(self, values: FloatImage) -> Mask:
-        """Tell which values are disparities, up to one step beyond the last whole one."""
+        """Tell which values are disparities; the largest lies less than 1 px above the limit."""
         low, high = self.limits_px
         inside: Mask = (values >= self.low - self.tolerance) & (
             values < self.low + (high - low) + 1
@@ -83,7 +83,7 @@ def fill_disparity(
         Smallest and largest raw disparity searched. Valid values of the message lie strictly
         inside its limits: a value at a limit moves by one float32 step.
     header : std_msgs/Header
-        Header of the left picture.
+        Header of the left image.
     step_px : float
         Sub-pixel step of the disparities.
 
@@ -110,7 +110,7 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
     message : stereo_msgs/DisparityImage
         Message.
     rig : StereoRig
-        Rectified rig that it was made with.
+        Rectified rig that the message was made with.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
     Raises
     ------
     ImageError
-        If the picture is broken, is not 32FC1 or the limits are missing.
+        If the image is damaged or not 32FC1, or the limits are missing.
     CalibrationError
         If ``f`` or ``t`` contradict the rig.
 
@@ -138,15 +138,15 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
         ('f', message.f, rig.focal_px),
         ('t', message.t if hasattr(message, 't') else message.T, rig.baseline_m),
     ):
-        if not np.isclose(stated, own, rtol=_SAME):
+        if not np.isclose(stated, own, rtol=_ROUNDING):
             raise CalibrationError(
-                f'disparity was made with {name} = {stated:g}, the camera infos say {own:g}; remap'
-                ' camera_info to those of the rectified pictures'
+                f'disparity was made with {name} = {stated:g}, the camera infos say {own:g};'
+                ' remap camera_info to that of the rectified images'
             )
     offset = rig.disparity_offset_px
     convention = _convention(values, low, high, offset)
     valid = convention.valid(values)
-    # limits and values are rounded differently; what is valid lies within the limits
+    # limits and values are rounded differently: move valid values inside the limits
     raw = np.clip(values + np.float32(offset), *convention.limits_px).astype(np.float32)
     raw[~valid] = np.nan
     return DisparityMap(raw, convention.limits_px)
@@ -155,9 +155,9 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
 def _convention(values: FloatImage, low: float, high: float, offset: float) -> _Convention:
     """Return the convention that explains more of the values.
 
-    A value is explained if it is valid or the marker. Our own messages are always explained
-    completely by ours; where stereo_image_proc's explains as much, its limits are whole numbers
-    and our marker is missing.
+    A value is explained if it is valid or the marker. Our convention explains all values of our
+    messages. If that of stereo_image_proc explains as many, the message is taken to be its own if
+    the limits are whole numbers and our marker does not occur.
     """
     own = _Convention(
         low, float(np.float32(low) - np.float32(1)), 0.0, (low + offset, high + offset)
@@ -176,7 +176,7 @@ def _convention(values: FloatImage, low: float, high: float, offset: float) -> _
 
 
 def _fill_window(window: Any, valid: Mask) -> None:
-    """Set the smallest window around all valid pixels; empty if there are none."""
+    """Set the smallest window that holds all valid pixels; empty if there are none."""
     rows, columns = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
     if rows.size:
         window.x_offset, window.y_offset = int(columns[0]), int(rows[0])

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image and CameraInfo messages as arrays and cameras, and back.
+"""Convert Image and CompressedImage messages to arrays, and back.
 
-Only attributes are read and set, so the same functions serve rclpy's messages and the dataclasses
-of rosbags. Array members keep the type that the message has (`array.array` or numpy).
+Array members keep the type that they have in the message: `array.array` in rclpy, numpy in bags.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from binocular_recon.io.image_files import decoded_image
 
 
 class DecodedImage(NamedTuple):
-    """A picture and how a message would name its pixels.
+    """An image and the encoding of its message.
 
     Attributes
     ----------
     image : (H, W) or (H, W, C) uint8, uint16 or float32
         Grey, BGR or BGRA, whatever the order in the message.
     encoding : str
-        The message's encoding, `bgr8` where that is a mosaic or shares colour between pixels.
+        Encoding of the message; `bgr8` if that is a Bayer mosaic or YUV 4:2:2.
 
     """
 
@@ -40,10 +39,10 @@ class _Encoding(NamedTuple):
     dtype: str
     channels: int = 1
     decode: int | None = None  # cv2.cvtColor to BGR
-    encode: int | None = None  # and back; a picture never goes back to a mosaic
+    encode: int | None = None  # cv2.cvtColor from BGR; none to a mosaic or YUV
 
 
-# ROS names a Bayer pattern by its first two pixels, OpenCV by the middle of the second row.
+# ROS names a Bayer pattern by its first two pixels, OpenCV by the second and third of row two.
 ENCODINGS = {
     'mono8': _Encoding('u1'),
     '8UC1': _Encoding('u1'),
@@ -68,7 +67,7 @@ ENCODINGS = {
     'yuv422_yuy2': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
     'yuyv': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
 }
-# How pictures are named that no message has named.
+# Encodings of images that come without one.
 _PLAIN = {
     ('u1', 1): 'mono8',
     ('u1', 3): 'bgr8',
@@ -79,7 +78,7 @@ _PLAIN = {
 
 
 def stamp_ns(header: Any) -> int:
-    """Return a header's stamp in nanoseconds."""
+    """Return the stamp of a header, ns."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
@@ -91,21 +90,21 @@ def read_image(message: Any, name: str = 'image') -> DecodedImage:
     message : sensor_msgs/Image or sensor_msgs/CompressedImage
         Message with any ``step`` and byte order, or a whole JPEG or PNG file.
     name : str
-        What errors call the picture.
+        Name of the image in errors.
 
     Returns
     -------
     DecodedImage
-        Without a copy where the message's bytes allow it.
+        Shares the bytes of the message where these need no conversion.
 
     Raises
     ------
     ImageError
-        If the encoding is unknown, data are missing or a file cannot be decoded.
+        If the encoding is unknown, bytes are missing or the file cannot be decoded.
 
     """
     if hasattr(message, 'format'):
-        image, encoding = _decoded_file(message, name)
+        image, encoding = _decode_file(message, name)
     else:
         image, encoding = image_samples(message, name), message.encoding
         code = ENCODINGS[encoding].decode
@@ -117,9 +116,9 @@ def read_image(message: Any, name: str = 'image') -> DecodedImage:
 
 
 def image_samples(message: Any, name: str = 'image') -> Image:
-    """Return an Image's numbers in its own order: (H, W) or (H, W, C) in native byte order.
+    """Return the samples of an Image, (H, W) or (H, W, C), channels in the order of the message.
 
-    Raises an ImageError if the encoding is unknown or data are missing.
+    Raises an ImageError if the encoding is unknown or bytes are missing.
     """
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
@@ -141,7 +140,7 @@ def image_samples(message: Any, name: str = 'image') -> Image:
     if data.size < step * height:
         raise ImageError(
             f'{name} holds {data.size} bytes, step x height is {step} x {height} ='
-            f' {step * height}; it was cut off'
+            f' {step * height}; it was truncated'
         )
     shape: tuple[int, ...] = (height, width)
     strides: tuple[int, ...] = (step, pixel)
@@ -153,7 +152,7 @@ def image_samples(message: Any, name: str = 'image') -> Image:
 
 
 def plain_encoding(image: Image) -> str:
-    """Return the encoding of a grey, BGR or BGRA picture, '' if there is none for its type."""
+    """Return the encoding of a grey, BGR or BGRA image; empty if its type has none."""
     return _PLAIN.get(_kind(image), '')
 
 
@@ -167,21 +166,21 @@ def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
     image : (H, W) or (H, W, C)
         Grey, BGR or BGRA, as `read_image` returns it.
     encoding : str
-        Encoding of the message; a mosaic or shared colour is not accepted.
+        Encoding of the message; no Bayer mosaic or YUV.
     header : std_msgs/Header
         Header of the message.
 
     Raises
     ------
     ImageError
-        If the picture cannot be written in this encoding.
+        If the image cannot be written in this encoding.
 
     """
     spec = ENCODINGS.get(encoding, _Encoding('', 0))
     channels = _kind(image)[1]
     if _kind(image) != spec[:2] or (spec.decode and spec.encode is None):
         raise ImageError(
-            f'picture of {image.dtype} with {channels} channels cannot be written as {encoding!r}'
+            f'image of {image.dtype} with {channels} channels cannot be written as {encoding!r}'
         )
     if spec.encode is not None:
         image = cv2.cvtColor(image, spec.encode)
@@ -194,9 +193,10 @@ def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
 
 
 def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
-    """Set an array member in one copy of bytes, as the array type that the message has.
+    """Set an array member of a message, keeping its array type, with a single copy.
 
-    rclpy copies a numpy array element by element: a second for a picture, against milliseconds.
+    Assigning a numpy array to a message of rclpy copies element by element, which takes a second
+    for an image; this takes milliseconds.
     """
     present = getattr(message, member)
     if isinstance(present, array.array):
@@ -209,26 +209,26 @@ def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
 
 
 def _kind(image: Image) -> tuple[str, int]:
-    """Return type and number of channels, as `_Encoding` begins."""
+    """Return type and number of channels, like the first two members of `_Encoding`."""
     return image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2]
 
 
-def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
-    """Return the picture of a CompressedImage as BGR, and its encoding."""
-    # image_transport writes 'ENCODING; CODEC compressed ORDER', older senders just 'CODEC'
+def _decode_file(message: Any, name: str) -> tuple[Image, str]:
+    """Return the image of a CompressedImage, grey, BGR or BGRA, and its encoding."""
+    # image_transport writes 'ENCODING; CODEC compressed ORDER', older senders only 'CODEC'
     encoding, _, codec = str(message.format).partition(';')
     data = np.frombuffer(message.data, np.uint8)
     if not _is_whole(data.tobytes()):
         raise ImageError(
-            f'{name} is not a whole file: {data.size} bytes of {message.format!r} without the end'
-            " mark; raise the link's reliability"
+            f'{name} is truncated: {data.size} bytes of {message.format!r} without an end marker;'
+            ' make the connection reliable'
         )
     image = decoded_image(data)
     if image is None:
         raise ImageError(
             f'{name} cannot be decoded: {data.size} bytes of {message.format!r}; send JPEG or PNG'
         )
-    if 'compressed rgb' in codec and image.ndim == 3:  # written with red and blue swapped
+    if 'compressed rgb' in codec and image.ndim == 3:  # encoded with red and blue swapped
         image = cv2.cvtColor(
             image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         )
@@ -237,7 +237,10 @@ def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
         plain = plain_encoding(image)
         if not plain:
             kind, channels = _kind(image)
-            raise ImageError(f'{name} is a file of type {kind} with {channels} channels')
+            raise ImageError(
+                f'{name} is a file of type {kind} with {channels} channels; send 8 or 16 bits per'
+                ' sample and 1 or 3 channels'
+            )
         return image, plain
     if spec.decode is not None and spec.encode is None:
         return cv2.cvtColor(image, spec.decode), 'bgr8'
@@ -245,18 +248,18 @@ def _decoded_file(message: Any, name: str) -> tuple[Image, str]:
 
 
 def _is_whole(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG file has its end; other files are left to their decoder."""
+    """Tell whether a JPEG or PNG file has its end marker; other formats are not checked."""
     if data.startswith(b'\x89PNG'):
         return data.rfind(b'IEND\xaeB`\x82') > 0
     if not data.startswith(b'\xff\xd8'):
         return True
     position = 2
-    # step over the segments (a thumbnail in one of them has an end of its own) to the first scan
+    # skip the segments before the first scan: a thumbnail in one of them has its own end marker
     while (
         data[position : position + 1] == b'\xff'
         and (marker := data[position + 1 : position + 2]) != b'\xda'
     ):
-        if marker == b'\xff':  # any number of these may fill the place before a marker
+        if marker == b'\xff':  # fill byte: any number may precede a marker
             position += 1
         else:
             position += 2 + int.from_bytes(data[position + 2 : position + 4], 'big')

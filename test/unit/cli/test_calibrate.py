@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibrate`` from pictures and from points, with the mishaps that pictures bring."""
+"""``calibrate`` from images and from points, with images that cannot be used."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from binocular_recon.simulation.rods import paper_board
 from test.calibration_tools import CHESSBOARD
 
 BOARD = paper_board(0.002)
-# half the size of the survey rig's pictures, so boards stand at half the distance
+# half the size of the survey rig's images, so boards stand at half the distance
 RIG = survey_rig(scale=0.5)
 OPTIONS = CaptureOptions(depth_m=(3.0, 8.0))
 
 
 @pytest.fixture(scope='module')
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five good boards and one for each mishap."""
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five good boards and one for each reason to leave a board out."""
     folder = tmp_path_factory.mktemp('captures')
 
     def save(name: str, left: np.ndarray[Any, Any], right: np.ndarray[Any, Any]) -> None:
@@ -48,7 +48,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save('blurred', *(cv2.blur(image, (9, 9)) for image in (taken[5].left, taken[5].right)))
     save('moved', taken[5].left, taken[6].right)
     save('swapped', taken[7].right, taken[7].left)
-    (folder / 'left_5.png').write_bytes(b'not a picture')
+    (folder / 'left_5.png').write_bytes(b'not an image')
     cv2.imwrite(str(folder / 'right_5.png'), np.zeros((600, 960), np.uint8))
     cv2.imwrite(str(folder / 'left_6.png'), np.zeros((600, 960), np.uint8))
     for side, size in (('left', (480, 640)), ('right', (600, 960))):
@@ -64,16 +64,16 @@ def calibrate(*args: object) -> int:
     return main(['calibrate', *map(str, args)])
 
 
-def test_pictures_to_a_calibrated_rig(
-    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_images_to_a_calibrated_rig(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / 'rig'
-    assert calibrate(pictures, '--rods', pictures / 'rods.yaml', '--output', output) == 0
+    assert calibrate(images, '--rods', images / 'rods.yaml', '--output', output) == 0
     text = capsys.readouterr().out
     content = json.loads((output / 'calibration.json').read_text())
     assert [board['name'] for board in content['boards']] == list('01234')
     reasons = {board['name']: board['reason'] for board in content['rejected']}
-    assert 'left_5.png is no picture' in reasons['5']
+    assert 'left_5.png is not an image' in reasons['5']
     assert reasons['6'] == 'there is no right picture'
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
     assert 'no board found' in reasons['8']
@@ -91,21 +91,21 @@ def test_pictures_to_a_calibrated_rig(
     assert abs(rig.baseline_m - 1.0) < 4 * content['sigma']['baseline_m']
     error = rig.left.K[0, 0] - RIG.left.K[0, 0]
     assert abs(error) < 4 * content['sigma']['fx_left_px']
-    _check_pictures((output / 'report.html').read_text(), content)
+    _check_images((output / 'report.html').read_text(), content)
 
 
-def _check_pictures(report: str, content: dict[str, Any]) -> None:
-    """Every board with a readable picture is shown, the marks of those used in green."""
+def _check_images(report: str, content: dict[str, Any]) -> None:
+    """Every board with a readable image is shown, the marks of those used in green."""
     assert '<svg' in report
-    images = dict(
+    figures = dict(
         re.findall(r'<img alt="Board (\w+)" src="data:image/jpeg;base64,([^"]+)"', report)
     )
-    assert set(images) == {*'012345678', 'blurred', 'moved', 'swapped'}
-    image = cv2.imdecode(np.frombuffer(b64decode(images['0']), np.uint8), cv2.IMREAD_COLOR)
+    assert set(figures) == {*'012345678', 'blurred', 'moved', 'swapped'}
+    image = cv2.imdecode(np.frombuffer(b64decode(figures['0']), np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (400, 1280, 3)
     blue, green, red = image.astype(int).transpose(2, 0, 1)
     vivid = (green > blue + 60) & (green > red + 60)
-    # a circle 5 px in radius and 2 px thick around each mark of both pictures
+    # a circle 5 px in radius and 2 px thick around each mark of both images
     assert vivid.sum() > 40 * content['boards'][0]['marks']
 
 
@@ -140,7 +140,7 @@ def test_self_check_tells_and_writes_its_rows(
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
-        ((), 'give either a folder of pictures or --points'),
+        ((), 'give either a folder of images or --points'),
         (('DIR', '--points', 'x.csv'), 'give either'),
         (('DIR',), 'need --rods rods.yaml'),
         (('--points', str(CHESSBOARD), '--image-size', '640'), '--image-size must be WxH'),
@@ -177,9 +177,9 @@ def test_numbers_out_of_range(
 
 
 def test_problems_with_the_input(
-    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rods = pictures / 'rods.yaml'
+    rods = images / 'rods.yaml'
 
     def refused(folder: Path, message: str, *args: object) -> None:
         assert calibrate(folder, '--rods', rods, '--output', tmp_path / 'rig', *args) == 1
@@ -199,7 +199,7 @@ def test_problems_with_the_input(
     few = tmp_path / 'few'
     few.mkdir()
     for name in ('left_0.png', 'right_0.png', 'left_6.png'):
-        (few / name).write_bytes((pictures / name).read_bytes())
+        (few / name).write_bytes((images / name).read_bytes())
     refused(few, '1 of 2 boards can be used and at least 3 are needed; capture 2 more')
 
 

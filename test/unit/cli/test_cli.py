@@ -5,26 +5,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib
-import io
 import re
 import subprocess
 import sys
+import types
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from binocular_recon import __version__
-from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli import main as cli
 from binocular_recon.cli.main import main
 from binocular_recon.cli.options import add_chain_options, chain_config
 from binocular_recon.config import PRESETS, ChainConfig, FilterConfig
 from binocular_recon.errors import ConfigError
-from binocular_recon.io.image_files import write_image_file
-from binocular_recon.io.pfm import read_pfm
-from test.bag_tools import pictures
 
 
 def parse(*words: str, exclude: tuple[str, ...] = ()) -> argparse.Namespace:
@@ -35,9 +29,63 @@ def parse(*words: str, exclude: tuple[str, ...] = ()) -> argparse.Namespace:
 
 def test_every_command_has_a_module_with_both_functions() -> None:
     for name in cli.COMMANDS:
-        module = importlib.import_module(f'binocular_recon.cli.{name}')
+        module = cli.command_module(name)
         module.add_arguments(argparse.ArgumentParser())
         assert callable(module.run)
+
+
+def test_a_command_is_one_entry_and_one_module(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = types.ModuleType('binocular_recon.cli.say_twice')
+    vars(module).update(
+        add_arguments=lambda parser: parser.add_argument('word', help='word to print'),
+        run=lambda args: sys.stdout.write(f'{args.word} {args.word}\n'),
+    )
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(cli.COMMANDS, 'say-twice', 'print a word twice')
+    assert main(['say-twice', 'rod']) == 0
+    assert capsys.readouterr().out == 'rod rod\n'
+    with pytest.raises(SystemExit, match='0'):
+        main(['--help'])
+    assert re.search(r'^    say-twice +print a word twice$', capsys.readouterr().out, re.MULTILINE)
+    with pytest.raises(SystemExit, match='0'):
+        main(['say-twice', '--help'])
+    text = capsys.readouterr().out
+    assert text.startswith('usage: binocular-recon say-twice [-h] word\n\nPrint a word twice.\n')
+
+
+@pytest.mark.parametrize(
+    'program',
+    [
+        [sys.executable, '-m', 'binocular_recon'],
+        [str(Path(sys.executable).with_name('binocular-recon'))],
+    ],
+    ids=['module', 'console command'],
+)
+def test_messages_name_the_console_command_however_it_was_started(
+    program: list[str], tmp_path: Path
+) -> None:
+    def run(*words: str) -> tuple[int, str, str]:
+        done = subprocess.run([*program, *words], capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout, done.stderr
+
+    assert run('--version') == (0, f'binocular-recon {__version__}\n', '')
+    status, text, _ = run('play', '--help')
+    assert status == 0
+    assert text.startswith('usage: binocular-recon play [-h] ')
+    status, _, error = run('play')
+    assert status == 2
+    assert error.startswith('usage: binocular-recon play [-h] ')
+    assert error.endswith(
+        'binocular-recon play: error: the following arguments are required: BAG\n'
+    )
+    bag, output = str(tmp_path / 'gone'), str(tmp_path / 'out')
+    assert run('reconstruct', bag, '--output', output) == (
+        1,
+        '',
+        f'binocular-recon reconstruct: {bag} does not exist; check the path of the bag\n',
+    )
 
 
 def test_help_names_the_commands_and_imports_nothing_slow() -> None:
@@ -56,7 +104,7 @@ def test_help_names_the_commands_and_imports_nothing_slow() -> None:
         if words == ['--help']:
             assert all(f'\n    {name}' in done.stdout for name in cli.COMMANDS)
         if words == ['--version']:
-            assert done.stdout == f'binocular_recon {__version__}\n'
+            assert done.stdout == f'binocular-recon {__version__}\n'
 
 
 @pytest.mark.parametrize(
@@ -73,7 +121,7 @@ def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2
-    assert 'usage: binocular_recon' in capsys.readouterr().err
+    assert 'usage: binocular-recon' in capsys.readouterr().err
 
 
 def test_every_option_of_the_chain_is_a_flag_and_none_restates_its_default() -> None:
@@ -115,8 +163,8 @@ def test_switches_are_read() -> None:
     ('words', 'message'),
     [
         (['--wls-alpha', '9'], r'argument --wls-alpha: wls_alpha must be within 0\.0\.\.4\.0'),
-        (['--wls-alpha', 'much'], "'much' is no NUMBER"),
-        (['--disparity-range', '1.5'], "'1.5' is no INTEGER"),
+        (['--wls-alpha', 'much'], "'much' is not a valid NUMBER"),
+        (['--disparity-range', '1.5'], "'1.5' is not a valid INTEGER"),
         (['--correlation-window-size', '8'], 'must be 3 plus a multiple of 2'),
         (['--wls-guide', 'right'], 'wls_guide must be one of left, disparity'),
         (['--preset', 'best'], "invalid choice: 'best'"),
@@ -130,7 +178,7 @@ def test_options_out_of_range_are_refused_with_the_range(
     assert re.search(message, capsys.readouterr().err)
 
 
-def test_excluded_options_are_no_flags() -> None:
+def test_excluded_options_are_not_flags() -> None:
     with pytest.raises(SystemExit, match='2'):
         parse('--min-depth', '1', exclude=('min_depth',))
 
@@ -142,20 +190,20 @@ def test_errors_become_one_line_and_a_status(
     from binocular_recon.errors import BagError
 
     for error, status, line in (
-        (BagError('a\n  b'), 1, 'binocular_recon play: a b\n'),
-        (ConfigError('x must be 1'), 2, 'binocular_recon play: x must be 1\n'),
+        (BagError('a\n  b'), 1, 'binocular-recon play: a b\n'),
+        (ConfigError('x must be 1'), 2, 'binocular-recon play: x must be 1\n'),
         (OSError(28, 'No space left on device', 'f'), 1, None),
         (
             MemoryError('9 GiB'),
             1,
-            'binocular_recon play: 9 GiB; choose a smaller disparity_range or smaller pictures\n',
+            'binocular-recon play: 9 GiB; choose a smaller disparity_range or smaller images\n',
         ),
         (
             KeyboardInterrupt('3 frames kept'),
             130,
-            'binocular_recon play: interrupted; 3 frames kept\n',
+            'binocular-recon play: interrupted; 3 frames kept\n',
         ),
-        (KeyboardInterrupt(), 130, 'binocular_recon play: interrupted\n'),
+        (KeyboardInterrupt(), 130, 'binocular-recon play: interrupted\n'),
     ):
 
         def fail(_args: argparse.Namespace, error: BaseException = error) -> None:
@@ -168,7 +216,7 @@ def test_errors_become_one_line_and_a_status(
         assert line is None or text == line
 
 
-def test_a_reader_that_has_enough_is_no_problem_to_talk_about() -> None:
+def test_a_closed_pipe_ends_the_command_without_a_message() -> None:
     script = (
         'import sys\n'
         'from binocular_recon.cli import main, play\n'
@@ -191,68 +239,3 @@ def test_play_without_ros_says_what_to_do(
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     assert main(['play', str(tmp_path)]) == 1
     assert 'ROS 2 is not installed' in capsys.readouterr().err
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    for stream, seen in ((Terminal(), True), (io.StringIO(), False)):
-        monkeypatch.setattr(sys, 'stderr', stream)
-        with ProgressBar(4, 'frames') as bar:
-            bar.show(2)
-            assert ('2 of 4 frames' in stream.getvalue()) is seen
-            assert ('####' in stream.getvalue()) is seen
-            bar.show(3)  # too soon to be drawn
-            assert '3 of 4 frames' not in stream.getvalue()
-        assert stream.getvalue().endswith('\r\033[K') is seen
-
-
-def test_match_writes_raw_disparity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, image in zip(('left', 'right'), pictures(3), strict=True):
-        write_image_file(tmp_path / f'{name}.png', image)
-    files = [str(tmp_path / name) for name in ('left.png', 'right.png', 'new/d.pfm', 'new/d.png')]
-    words = [
-        'match',
-        *files[:2],
-        '--max-disparity',
-        '15',
-        '--output',
-        files[2],
-        '--heat-map',
-        files[3],
-    ]
-    assert main(words) == 0
-    disparity_px = read_pfm(Path(files[2]))
-    assert np.isfinite(disparity_px).all()
-    # the left picture is 6 px ahead of the right one
-    inner = disparity_px[8:-8, 24:-8]
-    assert np.median(np.abs(inner - 6)) < 0.05
-    assert np.mean(np.abs(inner - 6) < 0.5) > 0.98
-    assert Path(files[3]).stat().st_size > 1000
-    assert 'density 100.0%' in capsys.readouterr().out
-
-
-def test_match_complains_about_the_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    left, right = pictures(0)
-    write_image_file(tmp_path / 'left.png', left)
-    write_image_file(tmp_path / 'right.png', right[:, :-3])
-    (tmp_path / 'file').write_text('')
-    common = ['--max-disparity', '15']
-    out = ['--output', str(tmp_path / 'd.pfm')]
-    pair = [str(tmp_path / 'left.png'), str(tmp_path / 'right.png')]
-    for words, status, message in (
-        ([pair[0], str(tmp_path / 'gone.png'), *out], 1, 'gone.png cannot be read'),
-        ([*pair, *out], 1, '(72, 96) and right (72, 93)'),
-        ([pair[0], pair[0], '--output', str(tmp_path / 'file/d.pfm')], 1, 'file'),
-        ([*pair, *out, '--min-disparity', '15'], 2, 'above the smallest disparity, 15 px, got 15'),
-    ):
-        assert main(['match', *words, *common]) == status
-        text = capsys.readouterr().err
-        assert message in text
-        assert text.count('\n') == 1
-    assert not (tmp_path / 'd.pfm').exists()

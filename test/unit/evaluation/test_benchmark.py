@@ -173,7 +173,7 @@ def test_command_prints_tables_and_writes_json(
         ('640x480', "'640x480' is not WIDTHxHEIGHTxDISPARITIES"),
         ('640x48x16', 'sides must be at least 64 px'),
         ('640x480x20', 'disparities a multiple of 16'),
-        ('64x480x64', 'more disparities than columns'),
+        ('64x480x64', 'fewer disparities than columns'),
     ],
 )
 def test_sizes_that_make_no_sense(

@@ -110,7 +110,7 @@ def test_own_valid_pixel_at_the_other_marker_is_kept(
 ) -> None:
     """What would be stereo_image_proc's marker is an ordinary disparity in our messages."""
     if offset_px == -32.0 and far_px > 0 and not holes:
-        far_px = 31.0  # both would explain the whole picture: any farther pixel settles it
+        far_px = 31.0  # both would explain the whole image: any farther pixel settles it
     raw = raw_map((far_px, 63), holes=holes)
     raw[10, 10:13] = -offset_px - 1 + np.array([-1 / 33, 0, 1 / 33])
     raw[20, 20] = far_px
@@ -161,7 +161,7 @@ def test_bad_message(member: str, value: float, error: type[Exception], text: st
         read_disparity(message, rig(0.0))
 
 
-def test_bad_picture_in_the_message() -> None:
+def test_bad_image_in_the_message() -> None:
     message = theirs(raw_map((0, 63), holes=True), 0.0, (0, 63))
     message.image.encoding = '16UC1'
     with pytest.raises(ImageError, match="encoding '16UC1'; it must be 32FC1"):

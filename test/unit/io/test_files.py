@@ -49,7 +49,7 @@ def test_files_of_a_set_appear_together_or_not_at_all(
 def test_a_set_that_cannot_take_its_place_is_a_file_error(tmp_path: Path) -> None:
     (tmp_path / 'a').mkdir()
     with (
-        pytest.raises(FileError, match=r'cannot be filled: Is a directory; choose a folder'),
+        pytest.raises(FileError, match=r'cannot be written to: Is a directory; choose a folder'),
         complete_files(tmp_path) as parts,
     ):
         write_json(parts / 'a', 1)

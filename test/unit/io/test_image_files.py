@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture files and 16-bit disparity files."""
+"""Image files and 16-bit disparity files."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def test_depth_and_channels_are_kept(tmp_path: Path, image: npt.NDArray[np.uint8
     np.testing.assert_array_equal(back, image)
 
 
-def test_what_is_no_picture_is_named(tmp_path: Path) -> None:
+def test_what_is_not_an_image_is_named(tmp_path: Path) -> None:
     for name, content in (('text.png', b'hello'), ('empty.png', b'')):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FileError, match=rf'{name} is no picture \({len(content)} bytes\)'):
+        with pytest.raises(FileError, match=rf'{name} is not an image \({len(content)} bytes\)'):
             read_image_file(tmp_path / name)
     with pytest.raises(FileError, match=r'gone\.png cannot be read: No such file'):
         read_image_file(tmp_path / 'gone.png')
@@ -44,7 +44,7 @@ def test_what_is_no_picture_is_named(tmp_path: Path) -> None:
 
 
 def test_a_name_that_stands_for_no_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=r"no format of pictures of uint8 ends in '\.xyz'; choose"):
+    with pytest.raises(FileError, match=r"'\.xyz' is not a format for images of uint8; choose"):
         write_image_file(tmp_path / 'a.xyz', np.zeros((2, 2), np.uint8))
     assert list(tmp_path.iterdir()) == []
 
@@ -61,7 +61,7 @@ def test_disparity_png_rounds_to_a_256th_and_keeps_none(tmp_path: Path) -> None:
     assert read_image_file(tmp_path / 'd.png')[0, 0] == round(float(disparity_px[0, 0]) * 256)
 
 
-def test_an_8_bit_picture_is_no_disparity(tmp_path: Path) -> None:
+def test_an_8_bit_image_is_not_a_disparity_map(tmp_path: Path) -> None:
     write_image_file(tmp_path / 'd.png', np.zeros((4, 4), np.uint8))
     with pytest.raises(FileError, match='16-bit grey is needed, got uint8'):
         read_disparity_png(tmp_path / 'd.png')

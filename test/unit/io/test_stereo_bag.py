@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of pictures out of bags."""
+"""Image pairs of bags."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from test.bag_tools import (
     Record,
     compressed_message,
     image_message,
+    image_pair,
     info_message,
-    pictures,
     rig,
     stereo_records,
     write_bag,
@@ -39,9 +39,9 @@ def infos(stamp_ns: int = START_NS, focal_px: float = 80.0) -> list[Record]:
 
 
 def shots(topic: str, stamps_ns: list[int]) -> list[Record]:
-    """Return pictures of one camera, recorded as they were taken."""
-    picture = pictures(0)[0 if topic == LEFT else 1]
-    return [(topic, image_message(picture, stamp), START_NS + stamp) for stamp in stamps_ns]
+    """Return images of one camera, recorded as they were taken."""
+    image = image_pair(0)[0 if topic == LEFT else 1]
+    return [(topic, image_message(image, stamp), START_NS + stamp) for stamp in stamps_ns]
 
 
 def pairs_of(path: Path, tolerance_ns: int = 0) -> list[StereoFrame]:
@@ -54,7 +54,7 @@ def test_pairs_of_every_format(tmp_path: Path, fmt: str) -> None:
     pairs = pairs_of(write_bag(tmp_path / 'bag', stereo_records(3), fmt))
     assert [pair.stamp_ns for pair in pairs] == [START_NS + i * PERIOD_NS for i in range(3)]
     for index, pair in enumerate(pairs):
-        for image, truth in zip(pair.images(), pictures(index), strict=True):
+        for image, truth in zip(pair.images(), image_pair(index), strict=True):
             np.testing.assert_array_equal(image, truth)
         assert pair.rig is pairs[0].rig
         assert pair.rig.baseline_m == pytest.approx(0.5, abs=1e-12)
@@ -81,14 +81,14 @@ def test_stamps_pair_exactly_or_within_the_tolerance(tmp_path: Path) -> None:
     assert len(pairs_of(path, 30)) == 5
 
 
-def test_lost_pictures_are_counted_and_cost_only_their_partner(tmp_path: Path) -> None:
+def test_lost_images_are_counted_and_cost_only_their_partner(tmp_path: Path) -> None:
     records = [r for i, r in enumerate(stereo_records(6)) if i not in (1, 11, 14)]
     with Bag(write_bag(tmp_path / 'bag', records)) as bag:
         stereo = StereoBag(bag, find_stereo_topics(bag.topics))
         assert stereo.expected == 5
         stamps = [(pair.stamp_ns - START_NS) // PERIOD_NS for pair in stereo]
         assert stamps == [1, 3, 4, 5]
-        assert (stereo.unpaired, stereo.pictures) == (2, 10)
+        assert (stereo.unpaired, stereo.images_read) == (2, 10)
         early = StereoBag(bag, find_stereo_topics(bag.topics))
         next(iter(early))
         assert early.unpaired == 1  # those not read yet may have partners
@@ -117,14 +117,14 @@ def test_a_recording_of_a_loop_pairs_in_every_round(tmp_path: Path) -> None:
     one_round = [0, 100, 200, 300]
     left, right = shots(LEFT, one_round * 3), shots(RIGHT, [0, 100, 200] * 3)
     records = infos()
-    for round_ in range(3):  # the right camera's last picture of each round is missing
+    for round_ in range(3):  # the right camera's last image of each round is missing
         records += left[4 * round_ : 4 * round_ + 4] + right[3 * round_ : 3 * round_ + 3]
     records = [(t, m, START_NS + i) for i, (t, m, _) in enumerate(records)]
     path = write_bag(tmp_path / 'bag', records)
     assert [pair.stamp_ns for pair in pairs_of(path)] == [0, 100, 200] * 3
 
 
-def test_calibration_may_come_after_the_pictures_and_may_change(tmp_path: Path) -> None:
+def test_calibration_may_come_after_the_images_and_may_change(tmp_path: Path) -> None:
     records = [*shots(LEFT, [0, 100, 200, 300]), *shots(RIGHT, [0, 100, 200, 300])]
     records += [(t, m, START_NS + 150) for t, m, _ in infos()]
     records += [(t, m, START_NS + 250) for t, m, _ in infos(focal_px=90.0)]
@@ -133,7 +133,7 @@ def test_calibration_may_come_after_the_pictures_and_may_change(tmp_path: Path) 
     assert pairs[0].rig is pairs[2].rig
 
 
-def test_pictures_without_a_valid_calibration_are_left_out(tmp_path: Path) -> None:
+def test_images_without_a_valid_calibration_are_left_out(tmp_path: Path) -> None:
     records = stereo_records(3)
     for index in (4, 6):
         records[index][1].k[:] = 0
@@ -152,19 +152,19 @@ def test_a_camera_that_is_not_calibrated_is_named(tmp_path: Path) -> None:
         pairs_of(write_bag(tmp_path / 'bag', records))
 
 
-def test_compressed_pictures_are_decoded_and_a_cut_one_costs_one_frame(tmp_path: Path) -> None:
+def test_compressed_images_are_decoded_and_a_cut_one_costs_one_frame(tmp_path: Path) -> None:
     records = infos()
     for index in range(2):
-        left, right = pictures(index)
+        left, right = image_pair(index)
         records += [
             (f'{LEFT}/compressed', compressed_message(left, index), START_NS + index),
             (f'{RIGHT}/compressed', compressed_message(right, index), START_NS + index),
         ]
     records[2][1].data = records[2][1].data[:900]
     first, second = pairs_of(write_bag(tmp_path / 'bag', records))
-    with pytest.raises(ImageError, match='left image is not a whole file'):
+    with pytest.raises(ImageError, match='left image is truncated'):
         first.images()
-    np.testing.assert_array_equal(second.images()[1], pictures(1)[1])
+    np.testing.assert_array_equal(second.images()[1], image_pair(1)[1])
 
 
 def test_a_calibration_from_elsewhere_replaces_the_recorded_one(tmp_path: Path) -> None:

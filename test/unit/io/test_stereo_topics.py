@@ -58,7 +58,7 @@ def test_of_several_rigs_one_must_be_chosen() -> None:
     have = topics(
         *rig('/front', 'image_raw', 'camera_info'), *rig('/rear', 'image_raw', 'camera_info')
     )
-    with pytest.raises(BagError, match=r'rigs are recorded: /front/, /rear/; .* --namespace'):
+    with pytest.raises(BagError, match=r'several stereo rigs: /front/, /rear/; .* --namespace'):
         find_stereo_topics(have)
     for namespace in ('rear', '/rear', '/rear/'):
         assert find_stereo_topics(have, namespace).images[0] == '/rear/left/image_raw'

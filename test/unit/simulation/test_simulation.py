@@ -221,5 +221,5 @@ def test_command_writes_captures_and_truth(tmp_path: Path) -> None:
 
 
 def test_command_names_an_empty_folder(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match='holds no picture'):
+    with pytest.raises(FileError, match='holds no image'):
         _simulate('rods', '--output', str(tmp_path / 'out'), '--backgrounds', str(tmp_path))

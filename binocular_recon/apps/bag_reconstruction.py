@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain on a whole bag."""
+"""Reconstruct a whole bag."""
 
 from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from binocular_recon.stereo.pipeline import Chain
 
 @dataclass(frozen=True)
 class BagInput:
-    """Which pairs of which bag.
+    """A bag and the pairs of it that are reconstructed.
 
     Attributes
     ----------
@@ -34,21 +35,19 @@ class BagInput:
     namespace : str, optional
         Namespace of the rig.
     images, infos : (str, str), optional
-        Topics of left and right where they have not the usual names.
+        Topics of left and right if they do not have the usual names.
     rectified : bool, optional
-        Whether named pictures are rectified; by default if their name says so.
+        Whether ``images`` are rectified; by default if their name contains ``rect``.
     calibration : Path, optional
-        Folder with left.yaml and right.yaml that replaces the recorded calibration.
+        Folder with left.yaml and right.yaml that replace the recorded camera infos.
     alpha : float
-        Of the rectification.
+        Passed to `Rectifier`.
     tolerance_ns : int
-        Largest difference of the stamps of a pair.
+        Largest difference between the stamps of a pair.
     every : int
-        Take every Nth pair.
+        Reconstruct every Nth pair.
     max_frames : int, optional
-        Stop after so many.
-    pictures : bool
-        Draw each cloud as well.
+        Stop after this many frames.
 
     """
 
@@ -62,11 +61,17 @@ class BagInput:
     tolerance_ns: int = 0
     every: int = 1
     max_frames: int | None = None
-    pictures: bool = False
 
 
-def reconstruct_bag(source: BagInput, output: Path, preset: str, config: ChainConfig) -> str:
-    """Reconstruct the pairs of a bag; each frame's files are written when it is finished.
+def reconstruct_bag(
+    source: BagInput,
+    output: Path,
+    preset: str,
+    config: ChainConfig,
+    *,
+    formats: Collection[str] = (),
+) -> str:
+    """Reconstruct the pairs of a bag; the files of each frame are written as it is finished.
 
     Parameters
     ----------
@@ -77,18 +82,20 @@ def reconstruct_bag(source: BagInput, output: Path, preset: str, config: ChainCo
         Name of the preset, for the summary.
     config : ChainConfig
         Options of the chain.
+    formats : collection of str
+        Keys of `FRAME_FORMATS` to write besides those that are always written.
 
     Returns
     -------
     text : str
-        What was done, in a sentence.
+        One sentence about what was reconstructed.
 
     Raises
     ------
     BinocularReconError
-        If nothing could be reconstructed, or, after all the rest was, if something could not.
+        If nothing could be reconstructed; or, after the rest was, if a part could not be.
     KeyboardInterrupt
-        With what was finished, which is kept.
+        After an interruption; finished frames are kept, and the message says how many.
 
     """
     with Bag(source.bag) as bag:
@@ -96,7 +103,7 @@ def reconstruct_bag(source: BagInput, output: Path, preset: str, config: ChainCo
         topics = _topics(bag, source)
         stereo = StereoBag(bag, topics, rig, tolerance_ns=source.tolerance_ns)
         facts = {'bag': str(source.bag), **topics._asdict()}
-        results = ResultFolder(output, facts, pictures=source.pictures)
+        results = ResultFolder(output, facts, formats=formats)
         try:
             _reconstruct(stereo, source, results, config, rectify=not topics.rectified)
         except BaseException as error:
@@ -109,10 +116,10 @@ def reconstruct_bag(source: BagInput, output: Path, preset: str, config: ChainCo
         results.write_summary(
             preset, config, finished=True, unpaired=stereo.unpaired, damage=bag.damage
         )
-        _complain(bag, results)
+        _raise_problems(bag, results)
     sentence = results.sentence()
     if stereo.unpaired:
-        sentence += f'; {stereo.unpaired} of {stereo.pictures} pictures have no partner'
+        sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
     return sentence
 
 
@@ -156,13 +163,13 @@ def _reconstruct(
                 return
 
 
-def _complain(bag: Bag, results: ResultFolder) -> None:
-    """Raise a BagError if something that was recorded could not be reconstructed."""
+def _raise_problems(bag: Bag, results: ResultFolder) -> None:
+    """Raise a BagError if a part of the recording could not be reconstructed."""
     problems = list(bag.damage)
     if results.left_out:
         total = len(results.left_out) + len(results.frames)
         problems.append(
-            f'{len(results.left_out)} of {total} pairs are left out, the first because'
+            f'{len(results.left_out)} of {total} pairs were left out, the first because'
             f' {results.left_out[0]["reason"]}'
         )
     if problems:

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of each frame: one entry of `FRAME_FORMATS` per file.
+
+To add a format, write a function that takes the file's path and the parts of the frame it needs,
+and add an entry. The output folder then writes the file for each frame and removes it with its
+frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.drawing.clouds import draw_cloud
+from binocular_recon.drawing.colormap import heat_map
+from binocular_recon.images import ByteImage, FloatImage, to_bgr8
+from binocular_recon.io.image_files import write_image_file
+from binocular_recon.io.pfm import write_pfm
+from binocular_recon.io.ply import write_ply
+from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.triangulation import Cloud
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """A reconstructed frame; its attributes are the parts that a format may need.
+
+    Attributes
+    ----------
+    reconstruction : Reconstruction
+        Everything that the chain returned.
+    rig : StereoRig
+        Calibration of the frame.
+
+    """
+
+    reconstruction: Reconstruction
+    rig: StereoRig
+
+    @property
+    def disparity_px(self) -> FloatImage:
+        """Filtered x_left - x_right, (H, W) float32; NaN = none."""
+        return self.reconstruction.filtered.disparity_px
+
+    @property
+    def cloud(self) -> Cloud:
+        """Points and their standard deviations, m; NaN = none."""
+        return self.reconstruction.cloud
+
+    @cached_property
+    def left_bgr(self) -> ByteImage:
+        """The rectified left image, (H, W, 3) uint8."""
+        return to_bgr8(self.reconstruction.left)
+
+
+class FrameFormat(NamedTuple):
+    """One file of each frame.
+
+    Attributes
+    ----------
+    ending : str
+        What follows the number of the frame in the file's name.
+    needs : tuple of str
+        Attributes of `FrameResult` that ``write`` takes after the path, in this order.
+    write : callable
+        Writes the file; raises a FileError if it cannot be written.
+    on_request : bool
+        Whether the file is written only if its format is asked for by name.
+
+    """
+
+    ending: str
+    needs: tuple[str, ...]
+    write: Callable[..., object]
+    on_request: bool = False
+
+    def write_frame(self, folder: Path, index: int, frame: FrameResult) -> None:
+        """Write the file of frame number ``index`` to ``folder``."""
+        parts = (getattr(frame, name) for name in self.needs)
+        self.write(folder / f'{index:06d}{self.ending}', *parts)
+
+
+def _write_heat_map(path: Path, disparity_px: FloatImage) -> None:
+    write_image_file(path, heat_map(disparity_px))
+
+
+def _write_cloud(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
+    write_ply(path, cloud.points_xyz, cloud.sigma_z_m, bgr)
+
+
+def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
+    """Write the left image and, beside it, the cloud from an oblique view."""
+    drawing = draw_cloud(cloud.points_xyz, bgr, (bgr.shape[1], bgr.shape[0]))
+    write_image_file(path, np.hstack([bgr, drawing]))
+
+
+FRAME_FORMATS = {
+    'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
+    'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
+    'cloud': FrameFormat('.ply', ('cloud', 'left_bgr'), _write_cloud),
+    'drawing': FrameFormat('_cloud.png', ('cloud', 'left_bgr'), _write_drawing, on_request=True),
+}

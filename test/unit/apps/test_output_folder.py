@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of each frame, and what happens to those of an earlier run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameFormat, FrameResult
+from binocular_recon.apps.output_folder import ResultFolder
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.config import ChainConfig
+from binocular_recon.errors import ConfigError, FileError
+from binocular_recon.images import FloatImage
+from binocular_recon.io.pfm import read_pfm
+from binocular_recon.stereo.filtering.wls_filter import Filtered
+from binocular_recon.stereo.matching.matcher import Match
+from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.triangulation import triangulate
+from test import bag_tools
+
+RIG = bag_tools.rig()
+ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png'}
+
+
+def reconstruction(disparity: float = 10.0) -> Reconstruction:
+    """Return a flat wall without the first column."""
+    disparity_px = np.full((bag_tools.HEIGHT, bag_tools.WIDTH), disparity, np.float32)
+    disparity_px[:, 0] = np.nan
+    sigma_px = np.full_like(disparity_px, 0.1)
+    return Reconstruction(
+        *bag_tools.image_pair(0),
+        Match(disparity_px, sigma_px),
+        Filtered(disparity_px, sigma_px, 1, 0.0),
+        triangulate(disparity_px, sigma_px, RIG, ChainConfig().cloud),
+    )
+
+
+def run(folder: Path, frames: int, *formats: str) -> ResultFolder:
+    """Write frames and the summary as a command does."""
+    results = ResultFolder(folder, {}, formats=formats)
+    for index in range(frames):
+        results.add(index, RIG, reconstruction(), 0.5)
+    results.write_summary('default', ChainConfig(), finished=True)
+    return results
+
+
+def files_of(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()} - {'summary.json'}
+
+
+def expected(frames: int, endings: set[str]) -> set[str]:
+    return {f'{index:06d}{ending}' for index in range(frames) for ending in endings}
+
+
+def test_every_format_needs_parts_that_a_frame_has() -> None:
+    endings = [spec.ending for spec in FRAME_FORMATS.values()]
+    assert len(set(endings)) == len(endings)
+    frame = FrameResult(reconstruction(), RIG)
+    for spec in FRAME_FORMATS.values():
+        assert all(hasattr(frame, name) for name in spec.needs)
+
+
+def test_a_registered_format_is_written_and_removed_with_its_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_depth(path: Path, disparity_px: FloatImage, rig: StereoRig) -> None:
+        depth_m = rig.focal_px * rig.baseline_m / np.nanmean(disparity_px)
+        path.write_text(f'{depth_m:.3f}')
+
+    spec = FrameFormat('_depth.txt', ('disparity_px', 'rig'), write_depth)
+    monkeypatch.setitem(FRAME_FORMATS, 'depth', spec)
+    run(tmp_path, 3)
+    assert files_of(tmp_path) == expected(3, {*ALWAYS, '_depth.txt'})
+    assert (tmp_path / '000002_depth.txt').read_text() == '4.000'
+    run(tmp_path, 2)
+    assert files_of(tmp_path) == expected(2, {*ALWAYS, '_depth.txt'})
+
+
+def test_a_format_on_request_is_written_when_asked_for_and_removed_when_not(
+    tmp_path: Path,
+) -> None:
+    run(tmp_path, 2, 'drawing')
+    assert files_of(tmp_path) == expected(2, {*ALWAYS, '_cloud.png'})
+    run(tmp_path, 2)
+    assert files_of(tmp_path) == expected(2, ALWAYS)
+
+
+def test_a_frame_that_cannot_be_written_leaves_no_file_and_no_entry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(path: Path) -> None:
+        path.write_text('part')
+        raise FileError(f'{path.name} cannot be written: the disk is full')
+
+    run(tmp_path, 1)
+    before = (tmp_path / '000000_disparity.pfm').read_bytes()
+    monkeypatch.setitem(FRAME_FORMATS, 'failing', FrameFormat('_x.txt', (), fail))
+    results = ResultFolder(tmp_path, {})
+    with pytest.raises(FileError, match=r'000000_x\.txt cannot be written'):
+        results.add(0, RIG, reconstruction(20.0), 0.5)
+    assert results.frames == []
+    assert files_of(tmp_path) == expected(1, ALWAYS)
+    assert (tmp_path / '000000_disparity.pfm').read_bytes() == before
+
+
+def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"must be among disparity, .*drawing, got 'las'"):
+        ResultFolder(tmp_path / 'new', {}, formats=['las'])
+    assert not (tmp_path / 'new').exists()
+
+
+def test_files_of_others_are_kept(tmp_path: Path) -> None:
+    for name in ('000005_notes.txt', '00001.ply', 'mine.ply'):
+        (tmp_path / name).write_text('mine')
+    run(tmp_path, 1)
+    assert files_of(tmp_path) == expected(1, ALWAYS) | {
+        '000005_notes.txt',
+        '00001.ply',
+        'mine.ply',
+    }
+
+
+def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
+    results = ResultFolder(tmp_path, {'bag': 'b'})
+    results.add(7, RIG, reconstruction(), 0.5)
+    camera = RIG.right
+    P = camera.P * np.array([1, 1, 1, 0.5])
+    other = StereoRig(RIG.left, Camera(*camera.size, camera.K, camera.D, camera.R, P))
+    results.add(8, other, reconstruction(), 1.5)
+    results.leave_out(9, ValueError('too dark'))
+    results.write_summary('fast', ChainConfig(), finished=False, unpaired=3)
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    first, second = summary['frames']
+    pixels = bag_tools.HEIGHT * bag_tools.WIDTH
+    assert first['density'] == pytest.approx(1 - 1 / bag_tools.WIDTH)
+    assert first['points'] == pixels - bag_tools.HEIGHT
+    assert first['depth_m'] == {'min': 4.0, 'median': 4.0, 'max': 4.0}
+    assert 'calibration' not in first
+    assert second['calibration']['baseline_m'] == pytest.approx(0.25)
+    assert summary['calibration']['baseline_m'] == pytest.approx(0.5)
+    assert summary['left_out'] == [{'stamp_ns': 9, 'reason': 'too dark'}]
+    assert (summary['finished'], summary['unpaired'], summary['preset']) == (False, 3, 'fast')
+    assert results.sentence() == (
+        f'2 frames in {tmp_path}: density 99.0%, depth 4.00 to 4.00 m (median 4.00 m),'
+        ' 1.00 s per frame'
+    )
+    np.testing.assert_array_equal(
+        read_pfm(tmp_path / '000000_disparity.pfm'), reconstruction().filtered.disparity_px
+    )
