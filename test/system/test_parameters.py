@@ -160,14 +160,19 @@ def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
 
 def test_quality_of_service_is_that_of_the_sensors_unless_overridden(graph: Graph) -> None:
     """Publishers are reliable, subscriptions best effort, except where overridden."""
-    left_topic, right_topic = (f'/rig/{side}/image_rect/compressed' for side in SIDES)
+
+    def subscriptions(side: str) -> list[Any]:
+        topic = f'/rig/{side}/image_rect/compressed'
+        found = graph.node.get_subscriptions_info_by_topic(topic)
+        return [one.qos_profile for one in found if one.node_name == 'match_node']
+
     with graph.listening(('/rig/disparity', DisparityImage)):
-        listening = partial(graph.node.get_subscriptions_info_by_topic, left_topic)
-        wait_until(listening, 'match_node to listen')
-        (left,) = [x.qos_profile for x in listening() if x.node_name == 'match_node']
-        (right,) = graph.node.get_subscriptions_info_by_topic(right_topic)
+        left, right = (
+            wait_until(partial(subscriptions, side), f'match_node to subscribe to {side}')[0]
+            for side in SIDES
+        )
     assert left.reliability == ReliabilityPolicy.BEST_EFFORT
-    assert right.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    assert right.reliability == ReliabilityPolicy.RELIABLE
     for node in map(node_class, CHAIN):
         for output in node.OUTPUTS:
             for offered in graph.node.get_publishers_info_by_topic(f'/rig/{output.topic}'):
