@@ -7,6 +7,8 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = 'binocular_recon'
+# The file names suffice: importing a node needs ROS.
+NODES = sorted(path.stem for path in Path(PACKAGE, 'nodes').glob('*_node.py'))
 
 share = defaultdict(list)
 for folder in ('bags', 'config', 'launch', 'rviz'):
@@ -41,10 +43,7 @@ setup(
         'console_scripts': [
             f'binocular-recon = {PACKAGE}.cli.main:main',
             f'play_bag = {PACKAGE}.cli.play:main',
-            *(
-                f'{node} = {PACKAGE}.nodes.{node}:main'
-                for node in ('calibration_node', 'match_node', 'rectify_node', 'wls_filter_node')
-            ),
+            *(f'{node} = {PACKAGE}.nodes.{node}:main' for node in NODES),
         ],
     },
 )

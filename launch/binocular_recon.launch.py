@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole chain: rectify, match, filter; raw pictures in, point cloud out.
+"""The whole chain, rectify, match and filter: raw images in, point cloud out.
 
 Without an argument every option keeps its node's default; see `ros2 launch --show-args`.
 """
@@ -29,8 +29,8 @@ from binocular_recon.options import Options, OptionValue, check_option
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')
-# Options of each node that are launch arguments. How the cameras' pictures arrive and pair is a
-# matter of the first node; what it sends carries one stamp. In the last one pictures wait again.
+# Options of each node that are launch arguments. Only the first node receives and pairs images of
+# the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
     'match_node': (PresetOptions, MatchConfig),
@@ -42,7 +42,7 @@ OPTIONS: dict[str, tuple[type[Options], ...]] = {
         CloudMessageOptions,
     ),
 }
-# The nodes' own messages must not get lost: reliable, whatever the cameras are.
+# Messages between the nodes must not be lost: reliable, whatever the cameras are.
 _RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
 RELIABLE = {
     'rectify_node': [],
@@ -52,22 +52,28 @@ RELIABLE = {
 REMAPPINGS = [(f'{side}/camera_info', f'{side}/camera_info_rect') for side in SIDES]
 # Fast DDS 3 knows the first name, Fast DDS 2 (Jazzy and earlier) the second.
 PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
-# Arguments that are no options of a node: default and description.
+# Arguments that are not options of a node: default and description.
 ARGUMENTS = {
     'namespace': ('', 'Namespace of the rig: its topics are <namespace>/left/image_raw, ...'),
-    'params_file': ('', 'YAML file with parameters of the nodes; arguments win over it'),
-    'use_sim_time': ('false', 'Take the time from /clock, as of a bag or a simulation'),
-    'rviz': ('false', 'Start RViz with the cloud and the pictures'),
-    'rviz_frame': ('camera_left_optical', "Frame of the left camera, RViz's fixed frame"),
+    'params_file': ('', 'YAML file with parameters of the nodes; launch arguments override it'),
+    'use_sim_time': (
+        'false',
+        'Take the time from /clock, as published by a bag player or a simulator',
+    ),
+    'rviz': ('false', 'Start RViz with the point cloud and the images'),
+    'rviz_frame': (
+        'camera_left_optical',
+        'Fixed frame of RViz: the optical frame of the left camera',
+    ),
     'dds_profile': (
         str(SHARE / 'config' / 'fastdds_shared_memory.xml'),
-        'Fast DDS profile with shared memory for pictures; empty: leave DDS as it is',
+        'Fast DDS profile with shared memory for images; empty: do not change DDS',
     ),
 }
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments and start the nodes."""
+    """Declare the arguments and start the nodes."""
     arguments = dict(ARGUMENTS)
     for groups in OPTIONS.values():
         for spec in (spec for group in groups for spec in dataclasses.fields(group)):
@@ -87,9 +93,8 @@ def _describe(spec: dataclasses.Field[Any]) -> str:
     meta = spec.metadata
     unit = f' [{meta["unit"]}]' if meta['unit'] else ''
     choices = f' ({", ".join(meta["choices"])})' if meta['choices'] else ''
-    return (
-        f'{meta["description"]}{unit}{choices}; empty: as in params_file, the preset or the node'
-    )
+    source = 'empty: value from params_file, the preset or the node'
+    return f'{meta["description"]}{unit}{choices}; {source}'
 
 
 def _start(context: LaunchContext) -> list[Any]:
@@ -141,10 +146,10 @@ def _start(context: LaunchContext) -> list[Any]:
 
 
 def _value(spec: dataclasses.Field[Any], text: str) -> OptionValue:
-    """Return an argument as its option's type; a ConfigError says what is allowed."""
+    """Return an argument as the type of its option, or raise a ConfigError."""
     kind = type(spec.default)
     try:
-        # YAML takes 1e-5 for text and a folder named 2026 for a number
+        # YAML reads 1e-5 as text and a folder named 2026 as a number
         value = yaml.safe_load(text) if kind is bool else kind(text)
     except (ValueError, yaml.YAMLError):
         value = text

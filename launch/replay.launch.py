@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded bag through the whole chain, with the chain's arguments."""
+"""Play a bag into the whole chain; takes the arguments of the chain as well."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ CHAIN = Path(__file__).with_name('binocular_recon.launch.py')
 ARGUMENTS = {
     'bag': (None, 'Bag to play: ROS 1, ROS 2 sqlite3 or mcap'),
     'rate': ('1.0', 'Speed as a multiple of that of the recording'),
-    'loop': ('false', 'Begin again at the end, until interrupted'),
-    'clock': ('true', 'Publish the time of recording as /clock, and let the nodes use it'),
+    'loop': ('false', 'Start again at the end, until interrupted'),
+    'clock': ('true', 'Publish the time of recording as /clock and make the nodes use it'),
 }
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments, start the player and the chain."""
+    """Declare the arguments, start the player and the chain."""
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)
                 for name, (default, description) in ARGUMENTS.items()
             ),
-            # Not in the function below, so that `--show-args` lists the chain's arguments too.
+            # Not in `_start_player`, so that `--show-args` lists the chain's arguments too.
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(CHAIN)),
                 launch_arguments={'use_sim_time': LaunchConfiguration('clock')}.items(),

@@ -132,10 +132,17 @@ def ros_wheels_fit() -> bool:
 
 
 def digest_of(arguments: list[str]) -> str:
-    """Return a digest of what a step would install: its arguments and the files they name."""
-    files = ['setup.py', 'setup.cfg'] if '--editable' in arguments else []
-    files += [f'requirements/{word}' for word in arguments if word.endswith('.txt')]
-    text = ' '.join(arguments) + ''.join(Path(REPOSITORY, name).read_text() for name in files)
+    """Return a digest of what a step would install: its arguments and the files they name.
+
+    For the project they are `setup.py` and the modules that it makes executables of.
+    """
+    files = [f'requirements/{word}' for word in arguments if word.endswith('.txt')]
+    nodes: list[str] = []
+    if '--editable' in arguments:
+        files += ['setup.py', 'setup.cfg']
+        nodes = sorted(path.name for path in REPOSITORY.glob('binocular_recon/nodes/*_node.py'))
+    text = ' '.join([*arguments, *nodes])
+    text += ''.join(Path(REPOSITORY, name).read_text() for name in files)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

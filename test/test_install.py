@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -80,6 +81,22 @@ def test_changed_lock_is_installed_again(
         install, 'digest_of', lambda words: digest_of(words) + '2' * ('test.txt' in words)
     )
     assert update('runtime', 'test') == ['test.txt']
+
+
+def test_a_new_node_is_installed(
+    update: Update, install: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """`setup.py` makes an executable of each of their modules."""
+    sources = tmp_path / 'sources'
+    shutil.copytree(REQUIREMENTS, sources / 'requirements', ignore=lambda *_: ['__pycache__'])
+    (sources / 'binocular_recon' / 'nodes').mkdir(parents=True)
+    for name in ('setup.py', 'setup.cfg'):
+        shutil.copy(REQUIREMENTS.parent / name, sources)
+    monkeypatch.setattr(install, 'REPOSITORY', sources)
+    update('runtime')
+    assert update('runtime') == []
+    (sources / 'binocular_recon' / 'nodes' / 'measure_node.py').touch()
+    assert update('runtime') == [str(sources)]
 
 
 def test_half_made_environment_is_made_again(update: Update) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch files and parameter files agree with what the nodes declare.
 
-`launch` cannot be installed from a package index: without it stand-ins record what is described.
+`launch` cannot be installed from a package index: stand-ins record the actions without it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 
 class Described:
-    """What a launch file says of an action: its arguments."""
+    """An action of a launch file: it keeps its arguments."""
 
     def __init__(self, *positional: Any, **named: Any) -> None:
         self.positional = positional
@@ -85,12 +85,10 @@ def launched(path: Path, **given: str) -> tuple[dict[str, Any], list[Any]]:
 
 
 def nodes() -> dict[str, Any]:
-    """Return the classes of the nodes by name."""
-    from binocular_recon.nodes.match_node import MatchNode
-    from binocular_recon.nodes.rectify_node import RectifyNode
-    from binocular_recon.nodes.wls_filter_node import WlsFilterNode
+    """Return the classes of the nodes of the chain by name, in its order."""
+    from binocular_recon.nodes.registry import node_class
 
-    return {node.NAME: node for node in (RectifyNode, MatchNode, WlsFilterNode)}
+    return {name: node_class(name) for name in ('rectify_node', 'match_node', 'wls_filter_node')}
 
 
 def options(node: Any) -> dict[str, Any]:
@@ -208,14 +206,14 @@ def test_every_argument_reaches_its_node_with_the_type_of_its_option() -> None:
         ('preset', 'best', 'preset must be one of paper, fast'),
     ],
 )
-def test_arguments_that_an_option_does_not_take_are_refused(
+def test_values_that_an_option_does_not_accept_are_rejected(
     name: str, text: str, message: str
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         launched(CHAIN, **{name: text})
 
 
-def test_empty_arguments_are_as_not_given() -> None:
+def test_empty_arguments_count_as_not_given() -> None:
     arguments, _ = launched(CHAIN)
     _, actions = launched(CHAIN, **dict.fromkeys(arguments, ''))
     assert [action.executable for action in actions] == list(nodes())

@@ -50,6 +50,7 @@ ROOMS = [
     {'evaluation.paper'},
     {'apps'},
     {'nodes.runtime'},
+    {'nodes.calibration'},
     {'nodes'},
     {'cli', '__main__'},
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rectified pictures in, measured disparities and their confidence out."""
+"""Match rectified image pairs: disparities and their confidence."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.images import FloatImage, to_grey
 from binocular_recon.io.messages.disparities import fill_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
-from binocular_recon.nodes.runtime.base_node import StereoNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.matching.matcher import disparity_step_px, match
 from binocular_recon.stereo.rectification import check_size
 
-# Share of white pixels above which the exposure is worth a word.
+# Share of white pixels above which the node warns of the exposure.
 _SATURATED_SHARE = 0.25
 
 
-class MatchNode(StereoNode):
-    """Match pairs; what cannot be matched is invalid."""
+class MatchNode(FrameNode):
+    """Match rectified image pairs; pixels without a match are invalid."""
 
     NAME = 'match_node'
     INPUTS = (
@@ -37,8 +37,15 @@ class MatchNode(StereoNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.prepare(compile_kernels)
+        self.prepare()
         self.start()
+
+    @staticmethod
+    def compile_kernels() -> None:
+        """Match noise with every preset."""
+        noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
+        for preset in PRESETS:
+            match(noise, noise, ChainConfig.preset(preset, disparity_range=16).match)
 
     def process(
         self, left: Image, right: Image, left_info: CameraInfo, right_info: CameraInfo
@@ -49,7 +56,7 @@ class MatchNode(StereoNode):
         for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
             grey = to_grey(read_image(message, f'{side} image').image)
             check_size(grey, camera.size, side)
-            self._warn_of_faults(grey, side)
+            self._warn_of_bad_exposure(grey, side)
             greys.append(grey)
         left_grey, right_grey = greys
         matched = match(left_grey, right_grey, config)
@@ -69,29 +76,20 @@ class MatchNode(StereoNode):
             )
             self.publish('disparity', disparity)
 
-    def _warn_of_faults(self, grey: FloatImage, side: str) -> None:
-        """Say why few pixels of a picture can be matched."""
+    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> None:
+        """Warn if few pixels of an image can be matched, and say why."""
         missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
         if missing > 0:
             text = (
                 f'has no data (NaN) in {100 * missing:.1f} % of its pixels; they get no disparity'
             )
         elif grey.min() == grey.max():
-            text = (
-                f'is uniform (grey level {grey[0, 0]:.0f}); uncover the lens or mind the exposure'
-            )
+            text = f'is uniform (grey level {grey[0, 0]:.0f}); check the lens cap and the exposure'
         elif white > _SATURATED_SHARE:
             text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
         else:
             return
         self.health.warning(f'{side} image {text}')
-
-
-def compile_kernels() -> None:
-    """Run every kernel once."""
-    noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
-    for preset in PRESETS:
-        match(noise, noise, ChainConfig.preset(preset, disparity_range=16).match)
 
 
 def main() -> int:

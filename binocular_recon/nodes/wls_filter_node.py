@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured disparities in; dense disparities, points, depth and a heat map out."""
+"""Filter disparities and triangulate them: dense disparities, points, depth, a heat map."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConf
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, to_bgr8, to_grey
-from binocular_recon.images import Image as Picture
+from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
-from binocular_recon.nodes.runtime.base_node import StereoNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output
+from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import (
     CloudMessageOptions,
     LateInputOptions,
@@ -34,8 +34,8 @@ from binocular_recon.stereo.triangulation import Cloud, triangulate
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
 
 
-class WlsFilterNode(StereoNode):
-    """Filter disparities, ours or stereo_image_proc's, and triangulate them."""
+class WlsFilterNode(FrameNode):
+    """Filter the disparities of match_node or stereo_image_proc and triangulate them."""
 
     NAME = 'wls_filter_node'
     INPUTS = (
@@ -58,8 +58,19 @@ class WlsFilterNode(StereoNode):
     def __init__(self) -> None:
         super().__init__()
         self._filter = DisparityFilter(FilterConfig())
-        self.prepare(compile_kernels)
+        self.prepare()
         self.start()
+
+    @staticmethod
+    def compile_kernels() -> None:
+        """Filter noise with every preset and either guide."""
+        generator = np.random.default_rng(0)
+        grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
+        disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)
+        ones = np.ones_like(grey)
+        for preset, guide in itertools.product(PRESETS, ('left', 'disparity')):
+            config = ChainConfig.preset(preset, wls_guide=guide).filter
+            filter_disparity(disparity, ones, grey, config, limits_px=(0.0, 15.0))
 
     def process(
         self,
@@ -69,16 +80,16 @@ class WlsFilterNode(StereoNode):
         disparity: DisparityImage,
         confidence: Image | None,
     ) -> None:
-        """Publish what somebody listens to."""
+        """Publish the outputs that somebody subscribes to."""
         rig = self.rig(left_info, right_info)
         measured = read_disparity(disparity, rig)
-        picture = read_image(left, 'left image').image
-        for image, name in ((measured.disparity_px, 'disparity'), (picture, 'left')):
-            check_size(image, rig.left.size, name)
+        image = read_image(left, 'left image').image
+        for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
+            check_size(pixels, rig.left.size, name)
         filtered = self._current_filter()(
             measured.disparity_px,
             _confidence(confidence, measured.disparity_px),
-            to_grey(picture),
+            to_grey(image),
             limits_px=measured.limits_px,
         )
         self.health.state('iterations', str(filtered.iterations))
@@ -87,7 +98,7 @@ class WlsFilterNode(StereoNode):
         if self.wanted(*_CLOUD_OUTPUTS):
             config = self.options.of(CloudConfig)
             cloud = triangulate(filtered.disparity_px, filtered.sigma_px, rig, config)
-            self._publish_cloud(cloud, picture, rig, left)
+            self._publish_cloud(cloud, image, rig, left)
 
     def _current_filter(self) -> DisparityFilter:
         config = self.options.of(FilterConfig)
@@ -120,7 +131,7 @@ class WlsFilterNode(StereoNode):
             fill_image(colours, heat, 'bgr8', left.header)
             self.publish('disparity_color', colours)
 
-    def _publish_cloud(self, cloud: Cloud, picture: Picture, rig: StereoRig, left: Image) -> None:
+    def _publish_cloud(self, cloud: Cloud, image: ImageArray, rig: StereoRig, left: Image) -> None:
         if self.wanted('depth', 'depth/camera_info'):
             info, depth = CameraInfo(), Image()
             fill_camera_info(info, rig.left, left.header)
@@ -135,30 +146,19 @@ class WlsFilterNode(StereoNode):
                 cloud,
                 left.header,
                 PointField,
-                colour=to_bgr8(picture) if options.use_color else None,
+                colour=to_bgr8(image) if options.use_color else None,
                 padding=not options.avoid_point_cloud_padding,
             )
             self.publish('points2', points)
 
 
 def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
-    """Return the confidence of each pixel; without a message 1 where there is a disparity."""
+    """Return the confidence of each pixel; without a message, 1 where there is a disparity."""
     if message is None:
         return np.isfinite(disparity_px).astype(np.float32)
     if message.encoding != '32FC1':
         raise ImageError(f'confidence has encoding {message.encoding!r}; it must be 32FC1')
     return read_image(message, 'confidence').image
-
-
-def compile_kernels() -> None:
-    """Run every kernel once."""
-    generator = np.random.default_rng(0)
-    grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
-    disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)
-    ones = np.ones_like(grey)
-    for preset, guide in itertools.product(PRESETS, ('left', 'disparity')):
-        config = ChainConfig.preset(preset, wls_guide=guide).filter
-        filter_disparity(disparity, ones, grey, config, limits_px=(0.0, 15.0))
 
 
 def main() -> int:

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
+from binocular_recon.io.messages.images import stamp_ns
 from test.system.conftest import StartNode
 from test.system.graph import Inbox, NodeProcess, wait_until
-from test.system.rig import SIDES, CameraPair, pictures
+from test.system.rig import SIDES, CameraPair, header, image_pair
 
 OUTPUTS: dict[str, type[Any]] = {
     'left/camera_info_rect': CameraInfo,
@@ -31,9 +31,11 @@ RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'ca
 MEASURED = ['disparity', 'confidence', 'left/image_rect', *RECTIFIED[1::2]]
 
 
-def reliable(topics: list[str]) -> dict[str, str]:
-    """Return the parameters that make subscriptions reliable."""
-    return {f'qos_overrides./rig/{topic}.subscription.reliability': 'reliable' for topic in topics}
+def reliable(topics: list[str], depth: int = 0) -> dict[str, object]:
+    """Return the parameters that make subscriptions reliable, and deeper if ``depth`` says so."""
+    prefixes = [f'qos_overrides./rig/{topic}.subscription' for topic in topics]
+    parameters: dict[str, object] = {f'{one}.reliability': 'reliable' for one in prefixes}
+    return parameters | ({f'{one}.depth': depth for one in prefixes} if depth else {})
 
 
 def start_chain(start_node: StartNode, **match_options: object) -> list[NodeProcess]:
@@ -47,15 +49,19 @@ def start_chain(start_node: StartNode, **match_options: object) -> list[NodeProc
 
 
 def prime(cameras: CameraPair, inboxes: list[Inbox], frame: Any = None) -> None:
-    """Send frames until every output has come: then all processes have found each other."""
-    images = pictures(0) if frame is None else frame
+    """Send frames until every output has come: then all processes have found each other.
+
+    Then send a last one and wait for it: frames keep their order, so no other is on its way.
+    """
+    images = image_pair(0) if frame is None else frame
+    last_ns = stamp_ns(header(20_000))
 
     def all_came() -> bool:
         cameras.send(10_000, images)
-        time.sleep(0.2)
         return all(inbox.messages for inbox in inboxes)
 
-    wait_until(all_came, 'every output')
-    time.sleep(0.5)  # what is still on its way
+    wait_until(all_came, 'every output', every_s=0.2)
+    cameras.send(20_000, images)
+    wait_until(lambda: all(last_ns in inbox.by_stamp() for inbox in inboxes), 'the last frame')
     for inbox in inboxes:
         inbox.messages.clear()

@@ -21,13 +21,11 @@ class StartNode(Protocol):
 
 @pytest.fixture(scope='session', autouse=True)
 def _compiled_kernels() -> None:
-    """Compile before the nodes start: cold, that takes longer than tests wait for a node."""
-    from binocular_recon.nodes import calibration_steps, match_node, wls_filter_node
-    from binocular_recon.simulation.rods import paper_board
+    """Compile before the nodes start: that takes longer than tests wait for a node."""
+    from binocular_recon.nodes.registry import node_class, node_names
 
-    match_node.compile_kernels()
-    wls_filter_node.compile_kernels()
-    calibration_steps.compile_kernels(paper_board())
+    for name in node_names():
+        node_class(name).compile_kernels()
 
 
 @pytest.fixture(scope='module')
@@ -42,7 +40,7 @@ def graph() -> Iterator[Any]:
 
 @pytest.fixture(scope='module')
 def start_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartNode]:
-    """Start nodes that end with the module, cleanly."""
+    """Start nodes; at the end of the module, stop them and check that they end cleanly."""
     from test.system.graph import NodeProcess
 
     folder: Path = tmp_path_factory.mktemp('nodes')

@@ -35,22 +35,28 @@ with warnings.catch_warnings():  # the parser that it imports uses what Python 3
     import rosidl_generator_py  # type: ignore[import-untyped]  # noqa: F401
 
 RELIABLE = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+# Far more than anything takes: it ends a test whose event never happens.
 TIMEOUT_S = 30.0
 
 
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> Any:
-    """Return the first true value of a condition, or fail saying what did not happen."""
+def wait_until(
+    condition: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S, *, every_s: float = 0.01
+) -> Any:
+    """Return the first true value of a condition, or fail saying what did not happen.
+
+    The condition is evaluated every ``every_s``; one that sends something sends at that rate.
+    """
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         value = condition()
         if value:
             return value
-        time.sleep(0.01)
+        time.sleep(every_s)  # the one place where tests sleep: between two looks
     raise AssertionError(f'not within {timeout_s:g} s: {what}')
 
 
 def executable(name: str) -> str:
-    """Return the path of a node: in the workspace that is sourced, else beside the interpreter."""
+    """Return the path of a node: in the sourced workspace, else in the environment."""
     prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
     installed = [Path(prefix, 'lib', 'binocular_recon', name) for prefix in prefixes if prefix]
     paths = [*installed, Path(sys.executable).parent / name]
@@ -75,13 +81,19 @@ class NodeProcess:
         with log.open('wb') as file:
             self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
         atexit.register(self.process.kill)  # none outlives the run, whatever fails in it
+        self._killed = False
 
     def text(self) -> str:
         """Return what the node has logged."""
         return self.log.read_text()
 
     def stop(self, number: int = signal.SIGINT) -> int:
-        """Interrupt the node and return its exit status."""
+        """Interrupt the node and return its exit status, 0 if it was killed before.
+
+        A node that does not end fails the test; the limit is far above what a busy machine takes.
+        """
+        if self._killed:
+            return 0
         if self.process.poll() is None:
             self.process.send_signal(number)
         try:
@@ -91,6 +103,12 @@ class NodeProcess:
             self.process.wait()
             raise
 
+    def kill(self) -> None:
+        """End the node without warning, as a power cut does."""
+        self.process.kill()
+        self.process.wait()
+        self._killed = True
+
 
 class Inbox:
     """The messages of a topic."""
@@ -99,12 +117,8 @@ class Inbox:
         self.messages: list[Any] = []
 
     def wait(self, count: int = 1, timeout_s: float = TIMEOUT_S) -> list[Any]:
-        """Return the messages once there are ``count``."""
-        wait_until(
-            lambda: len(self.messages) >= count,
-            f'{count} messages ({len(self.messages)} came)',
-            timeout_s,
-        )
+        """Return the messages once ``count`` have arrived."""
+        wait_until(lambda: len(self.messages) >= count, f'{count} messages', timeout_s)
         return self.messages
 
     def by_stamp(self) -> dict[int, Any]:
@@ -203,6 +217,13 @@ class Graph:
                 if status.name == f'{node.lstrip("/")}: {of}':
                     return status
         return None
+
+    def next_status(self, *nodes: str) -> list[DiagnosticStatus]:
+        """Return the next status of each node."""
+        self._diagnostics.messages.clear()
+        for node in nodes:
+            wait_until(partial(self.status, node), f'a status of {node}')
+        return [self.status(node) for node in nodes]
 
     def wait_for_status(self, node: str, text: str, timeout_s: float = TIMEOUT_S) -> Any:
         """Return the first status from now on whose message holds ``text``."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small rig, its pictures, and their messages."""
+"""A small rig, its images, and their messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIDES = ('left', 'right')
 def raw_rig(offset_px: float = -3.2, width: int = WIDTH, height: int = HEIGHT) -> StereoRig:
     """Return a rig that is not rectified: lenses distort, both cameras are turned alike.
 
-    Raw rows of its pictures correspond nearly, so that `pictures` need no lens.
+    Raw rows of its images nearly correspond, so that `image_pair` needs no lens model.
     """
     f = 1.25 * width
     K = np.array([[f, 0, 0.49 * width], [0, f + 1, 0.51 * height], [0, 0, 1]])
@@ -39,7 +39,7 @@ def raw_rig(offset_px: float = -3.2, width: int = WIDTH, height: int = HEIGHT) -
     return StereoRig(*cameras)
 
 
-def pictures(
+def image_pair(
     seed: int, width: int = WIDTH, height: int = HEIGHT, *, colour: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a textured pair: a slanted wall with a box in front, whose place depends on seed."""
@@ -93,7 +93,7 @@ def info_message(camera: Camera, head: Header) -> CameraInfo:
 
 
 class CameraPair:
-    """The drivers of the rig's cameras, in the test's own node."""
+    """The drivers of the cameras of a rig, in the test's own node."""
 
     def __init__(
         self, graph: Any, rig: StereoRig, image: str = 'image_raw', *, compressed: bool = False

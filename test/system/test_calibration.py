@@ -4,7 +4,11 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,36 +21,37 @@ from std_srvs.srv import Trigger
 
 from binocular_recon.calibration.session.calibration_files import FILES
 from binocular_recon.calibration.target.rods import save_rods
+from binocular_recon.camera import StereoRig
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.simulation.capture import CaptureOptions, SimulatedCapture, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from test.system.conftest import StartNode
-from test.system.graph import Graph, wait_until
+from test.system.graph import Graph, NodeProcess, wait_until
 from test.system.rig import header, image_message
 
 NODE = '/rig/calibration_node'
+SIDES = ('left', 'right')
+IMAGES = [f'/rig/{side}/image_raw' for side in SIDES]
 BOARDS = 8
-# half the size of the survey rig's pictures, so boards stand at half the distance
+# half the size of the survey rig's images, so boards stand at half the distance
 RIG = survey_rig(scale=0.5)
 BOARD = with_placement(paper_board(), 0.002)
 
 
 @cache
-def captured(seed: int) -> SimulatedCapture:
+def simulated(seed: int) -> SimulatedCapture:
     options = CaptureOptions(depth_m=(3.5, 8.0), noise=1.0)
     return simulate_capture(BOARD, RIG, np.random.default_rng([7, seed]), options)
 
 
-class Field:
-    """The cameras and the crew."""
+class Operator:
+    """Sends images as the cameras do and calls the services."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._index = 0
-        self._images = {
-            side: graph.publisher(f'/rig/{side}/image_raw', Image) for side in ('left', 'right')
-        }
+        self._images = {side: graph.publisher(f'/rig/{side}/image_raw', Image) for side in SIDES}
 
     def show(self, left: np.ndarray, right: np.ndarray) -> None:
         """Send one pair."""
@@ -59,150 +64,269 @@ class Field:
 
     def capture(self, left: np.ndarray, right: np.ndarray) -> Any:
         """Send a pair and capture it once the node has it."""
-        before = self._received()
+        before = self.received()
         for _ in range(10):  # one that was sent while a node joined may be lost
             self.show(left, right)
             with contextlib.suppress(AssertionError):
-                wait_until(lambda: self._received() > before, 'the pair at the node', 3.0)
+                wait_until(lambda: self.received() > before, 'the pair at the node', 3.0)
                 break
         return self.call('capture')
 
-    def _received(self) -> int:
+    def received(self) -> int:
+        """Return how many pairs the node has received."""
         status = self._graph.status(NODE)
         values = {pair.key: pair.value for pair in status.values} if status else {}
         return int(values.get('received sets', 0))
 
+    def wait_for_node(self) -> None:
+        """Wait until the node receives images and its diagnostics are no longer of another one."""
+        self._graph.next_status(NODE)
+        self._graph.wait_for_subscriber(*IMAGES)
 
-@pytest.mark.timeout(150)
-def test_a_crew_calibrates(graph: Graph, start_node: StartNode, tmp_path: Path) -> None:
-    save_rods(BOARD, tmp_path / 'rods.yaml')
-    output = tmp_path / 'rig'
-    parameters = {'rods': tmp_path / 'rods.yaml', 'output': output, 'left_camera_name': 'port'}
-    node = start_node('calibration_node', **parameters)
-    field = Field(graph)
-    taken = {'left': [], 'right': []}  # type: dict[str, list[CameraInfo]]
-    services = [
-        graph.do(partial(_offer_set_camera_info, graph, side, infos))
-        for side, infos in taken.items()
-    ]
-    graph.wait_for_subscriber('/rig/left/image_raw', '/rig/right/image_raw')
+
+def contents(folder: Path, names: tuple[str, ...] = FILES) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+class Cameras:
+    """Drivers that offer set_camera_info; the right one accepts a calibration only once."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self.taken: dict[str, list[CameraInfo]] = {side: [] for side in SIDES}
+        self._services = [graph.do(partial(self._offer, side)) for side in SIDES]
+
+    def close(self) -> None:
+        for service in self._services:
+            self._graph.do(partial(self._graph.node.destroy_service, service))
+
+    def _offer(self, side: str) -> Any:
+        def answer(request: Any, response: Any) -> Any:
+            self.taken[side].append(request.camera_info)
+            response.success = side == 'left' or len(self.taken[side]) == 1
+            if not response.success:
+                response.status_message = 'the flash is locked'
+            return response
+
+        return self._graph.node.create_service(
+            SetCameraInfo, f'/rig/{side}/set_camera_info', answer
+        )
+
+
+@dataclass
+class Day:
+    """What a day of calibrating gave: the answers by step, and what was there after some."""
+
+    output: Path
+    cameras: Cameras
+    answers: dict[str, Any]
+    boards_on_disk: list[str]
+    detections: Image
+    saved: dict[str, bytes]
+    rig: StereoRig
+
+    def message(self, step: str, *, success: bool) -> str:
+        """Return the message of an answer that must have this success."""
+        answer = self.answers[step]
+        assert answer.success is success, answer.message
+        return str(answer.message)
+
+
+@pytest.fixture(scope='module')
+def day(
+    graph: Graph, start_node: StartNode, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Day]:
+    """Drive the node through a day once; the tests look at what it answered."""
+    folder = tmp_path_factory.mktemp('day')
+    save_rods(BOARD, folder / 'rods.yaml')
+    output = folder / 'rig'
+    parameters = {'rods': folder / 'rods.yaml', 'output': output, 'left_camera_name': 'port'}
+    start = partial(start_node, 'calibration_node', **parameters)
+    operator, cameras = Operator(graph), Cameras(graph)
+    answers: dict[str, Any] = {}
+
+    node: NodeProcess = start()
+    operator.wait_for_node()
+    for service in ('calibrate', 'save', 'undo'):
+        answers[f'{service} without boards'] = operator.call(service)
     empty = np.full(RIG.left.size[::-1], 120, np.uint8)
+    answers['empty images'] = operator.capture(empty, empty)
 
-    answer = field.call('calibrate')
-    assert not answer.success
-    assert 'no board has been captured yet' in answer.message
-    assert 'calibrate first' in field.call('save').message
-    assert 'no board to drop' in field.call('undo').message
-
-    answer = field.capture(empty, empty)
-    assert not answer.success
-    assert 'left image: no board found' in answer.message
-
-    first = captured(0)
+    first, second = simulated(0), simulated(1)
     with graph.listening(('/rig/detections', Image)) as (drawn,):
-        answer = field.capture(first.left, first.right)
-        assert answer.success, answer.message
-        assert 'board 001 captured (1 so far): 30 of 30 marks in both images' in answer.message
-        picture = drawn.wait()[-1]
-    assert (picture.width, picture.height) == (2 * RIG.left.width, RIG.left.height)
-    # on disk when the service has answered
-    assert sorted(path.name for path in (output / 'captures').iterdir()) == [
-        'left_001.png',
-        'right_001.png',
-    ]
-    assert 'no synchronised pair has come since' in field.call('capture').message
-    assert 'repeats board 001' in field.capture(first.left, first.right).message
+        answers['first board'] = operator.capture(first.left, first.right)
+        boards_on_disk = sorted(path.name for path in (output / 'captures').iterdir())
+        detections = drawn.wait()[-1]
+    answers['same pair'] = operator.call('capture')
+    answers['same board'] = operator.capture(first.left, first.right)
+    answers['second board'] = operator.capture(second.left, second.right)
+    answers['undo'] = operator.call('undo')
 
-    second = captured(1)
-    assert field.capture(second.left, second.right).success
-    assert 'board 002 dropped, 1 left' in field.call('undo').message
-
-    # killed, not stopped: what was acknowledged is there
-    node.process.kill()
-    node.process.wait()
-    node.process.returncode = 0
-    node = start_node('calibration_node', **parameters)
-    graph.wait_for_subscriber('/rig/left/image_raw', '/rig/right/image_raw')
-    graph.wait_for_status(NODE, '')
+    node.kill()
+    node = start()
+    operator.wait_for_node()
     for seed in range(1, BOARDS):
-        board = captured(seed)
-        answer = field.capture(board.left, board.right)
-        assert answer.success, answer.message
-    assert f'({BOARDS} so far)' in answer.message
+        board = simulated(seed)
+        answers[f'board {seed + 1}'] = operator.capture(board.left, board.right)
 
+    answers['calibrate'], answers['calibrate meanwhile'] = calibrate_twice(graph)
+    answers['save'] = operator.call('save')
+    saved, rig = contents(output), read_rig(output)
+    answers['save again'] = operator.call('save')
+    answers['different sizes'] = operator.capture(first.left, first.right[::2, ::2])
+    answers['reset'] = operator.call('reset')
+    answers['save after reset'] = operator.call('save')
+    assert node.stop() == 0
+    yield Day(output, cameras, answers, boards_on_disk, detections, saved, rig)
+    cameras.close()
+
+
+def calibrate_twice(graph: Graph) -> tuple[Any, Any]:
+    """Call `calibrate` twice at once; return the answer with success and the other one."""
     client = graph.do(partial(graph.node.create_client, Trigger, f'{NODE}/calibrate'))
     assert client.wait_for_service(10)
     calls = [client.call_async(Trigger.Request()) for _ in range(2)]
     wait_until(lambda: all(call.done() for call in calls), 'both answers', 60)
-    solved, refused = sorted((call.result() for call in calls), key=lambda one: not one.success)
-    assert solved.success, solved.message
-    assert not refused.success and 'busy' in refused.message
-    assert 'depth sigma' in solved.message and 'next: a board at' in solved.message
+    solved, other = sorted((call.result() for call in calls), key=lambda one: not one.success)
+    return solved, other
 
-    answer = field.call('save')
-    assert answer.success, answer.message
-    assert 'left/set_camera_info took it' in answer.message
-    rig = read_rig(output)
+
+# The first of these tests waits for the whole day.
+pytestmark = pytest.mark.timeout(180)
+
+
+@pytest.mark.parametrize(
+    ('service', 'message'),
+    [
+        ('calibrate', 'no board has been captured yet'),
+        ('save', 'calibrate first'),
+        ('undo', 'there is no board to drop'),
+    ],
+)
+def test_services_say_what_is_missing(day: Day, service: str, message: str) -> None:
+    assert message in day.message(f'{service} without boards', success=False)
+
+
+def test_images_without_rods_are_not_captured(day: Day) -> None:
+    assert 'left image: no board found' in day.message('empty images', success=False)
+
+
+def test_a_board_is_on_disk_when_the_service_has_answered(day: Day) -> None:
+    message = day.message('first board', success=True)
+    assert 'board 001 captured (1 so far): 30 of 30 marks in both images' in message
+    assert day.boards_on_disk == ['left_001.png', 'right_001.png']
+
+
+def test_detections_are_drawn_side_by_side(day: Day) -> None:
+    assert (day.detections.width, day.detections.height) == (2 * RIG.left.width, RIG.left.height)
+
+
+def test_neither_a_pair_nor_a_board_is_captured_twice(day: Day) -> None:
+    message = day.message('same pair', success=False)
+    assert 'no synchronised image pair has arrived since the last capture' in message
+    assert 'repeats board 001' in day.message('same board', success=False)
+
+
+def test_undo_drops_the_last_board(day: Day) -> None:
+    day.message('second board', success=True)
+    assert 'board 002 dropped, 1 left' in day.message('undo', success=True)
+
+
+def test_boards_survive_a_node_that_is_killed(day: Day) -> None:
+    counts = [
+        re.search(r'\((\d+) so far\)', day.message(f'board {number}', success=True))
+        for number in range(2, BOARDS + 1)
+    ]
+    assert [int(count[1]) for count in counts if count] == list(range(2, BOARDS + 1))
+
+
+def test_calibrate_answers_with_figures_and_advice(day: Day) -> None:
+    message = day.message('calibrate', success=True)
+    assert message.startswith(f'{BOARDS} boards: reprojection error 0.')
+    assert 'depth sigma' in message and 'next: a board at' in message
+
+
+def test_a_second_calibration_meanwhile_is_busy(day: Day) -> None:
+    assert 'busy' in day.message('calibrate meanwhile', success=False)
+
+
+def test_the_saved_calibration_is_that_of_the_rig(day: Day) -> None:
+    assert f'{BOARDS} of {BOARDS} boards' in day.message('save', success=True)
+    sigma_m = json.loads(day.saved['calibration.json'])['sigma']['baseline_m']
     true_baseline_m = float(np.linalg.norm(RIG.T))
-    sigma_m = json.loads((output / 'calibration.json').read_text())['sigma']['baseline_m']
-    assert abs(rig.baseline_m - true_baseline_m) < max(4 * sigma_m, 1e-3)
-    assert abs(rig.left.K[0, 0] / RIG.left.K[0, 0] - 1) < 0.01
-    assert [len(infos) for infos in taken.values()] == [1, 1]
-    np.testing.assert_allclose(taken['right'][0].p, rig.right.P.ravel(), rtol=1e-12)
-    assert 'camera_name: port' in (output / 'left.yaml').read_text()
-    assert f'{BOARDS} of {BOARDS} boards' in answer.message
+    assert abs(day.rig.baseline_m - true_baseline_m) < max(4 * sigma_m, 1e-3)
+    assert abs(day.rig.left.K[0, 0] / RIG.left.K[0, 0] - 1) < 0.01
+    assert 'camera_name: port' in day.saved['left.yaml'].decode()
 
-    before = {name: (output / name).read_bytes() for name in FILES}
-    answer = field.call('save')
-    assert answer.success, answer.message
-    assert 'left/set_camera_info took it' in answer.message
-    assert 'right/set_camera_info refused: the flash is locked' in answer.message
-    assert {name: (output / 'previous' / name).read_bytes() for name in FILES} == before
 
-    answer = field.capture(first.left, first.right[::2, ::2])
-    assert not answer.success
-    assert 'left image is 960x600, right 480x300 px; set both alike' in answer.message
+def test_cameras_get_the_saved_calibration(day: Day) -> None:
+    message = day.message('save', success=True)
+    assert message.endswith('left/set_camera_info accepted it; right/set_camera_info accepted it')
+    assert [len(infos) for infos in day.cameras.taken.values()] == [2, 2]
+    np.testing.assert_allclose(
+        day.cameras.taken['right'][0].p, day.rig.right.P.ravel(), rtol=1e-12
+    )
 
-    answer = field.call('reset')
-    assert answer.success and f'{BOARDS} boards dropped; their pictures are in' in answer.message
-    dropped = Path(answer.message.partition(' are in ')[2])
+
+def test_a_camera_that_rejects_a_calibration_is_named(day: Day) -> None:
+    message = day.message('save again', success=True)
+    assert 'left/set_camera_info accepted it' in message
+    assert 'right/set_camera_info rejected it: the flash is locked' in message
+
+
+def test_saving_again_keeps_the_previous_files(day: Day) -> None:
+    assert contents(day.output / 'previous') == day.saved
+
+
+def test_images_of_different_sizes_are_not_captured(day: Day) -> None:
+    message = day.message('different sizes', success=False)
+    assert 'left image is 960x600 px, right image 480x300 px; set both cameras to' in message
+
+
+def test_reset_moves_all_boards_away(day: Day) -> None:
+    message = day.message('reset', success=True)
+    assert f'{BOARDS} boards dropped; their images are in' in message
+    dropped = Path(message.partition(' are in ')[2])
     assert len(list(dropped.iterdir())) == 2 * BOARDS
-    assert [path.name for path in (output / 'captures').iterdir()] == ['dropped']
-    answer = field.call('save')
-    assert not answer.success
-    assert f'boards that were dropped since ({BOARDS} of {BOARDS})' in answer.message
-    assert read_rig(output).baseline_m == rig.baseline_m
-    assert node.stop() == 0
-    for service in services:
-        graph.do(partial(graph.node.destroy_service, service))
+    assert [path.name for path in (day.output / 'captures').iterdir()] == ['dropped']
 
 
-@pytest.mark.timeout(60)
+def test_a_calibration_of_dropped_boards_is_not_saved(day: Day) -> None:
+    message = day.message('save after reset', success=False)
+    assert f'{BOARDS} of the {BOARDS} boards of the calibration were dropped since' in message
+    assert contents(day.output) == day.saved
+
+
 def test_rods_that_move_are_not_captured(
     graph: Graph, start_node: StartNode, tmp_path: Path
 ) -> None:
     save_rods(BOARD, tmp_path / 'rods.yaml')
     node = start_node('calibration_node', rods=tmp_path / 'rods.yaml', output=tmp_path / 'rig')
-    field = Field(graph)
-    graph.wait_for_status(NODE, '')
-    graph.wait_for_subscriber('/rig/left/image_raw', '/rig/right/image_raw')
-    shown = captured(0)
-    moved = [np.roll(image, 5, axis=1) for image in (shown.left, shown.right)]
+    operator = Operator(graph)
+    operator.wait_for_node()
+    shown = simulated(1)
     client = graph.do(partial(graph.node.create_client, Trigger, f'{NODE}/capture'))
     assert client.wait_for_service(10)
-    field.show(shown.left, shown.right)
-    wait_until(lambda: field._received() > 0, 'the pair at the node')
-    call = client.call_async(Trigger.Request())
-    # pairs come on until the answer
+    offsets_px = itertools.cycle(range(100))
+
+    def show_moving_rods() -> None:
+        offset_px = next(offsets_px)
+        operator.show(*(np.roll(image, offset_px, axis=1) for image in (shown.left, shown.right)))
+
+    def received() -> bool:
+        show_moving_rods()
+        return operator.received() > 0
 
     def answered() -> bool:
-        field.show(*moved)
+        show_moving_rods()
         return bool(call.done())
 
-    wait_until(answered, 'the answer')
+    wait_until(received, 'a pair at the node', every_s=0.1)
+    call = client.call_async(Trigger.Request())
+    wait_until(answered, 'the answer', every_s=0.1)
     answer = call.result()
     assert not answer.success
-    assert 'the marks moved by 5.0 px' in answer.message
+    assert re.search(r'the marks moved by \d+\.\d px', answer.message), answer.message
     assert node.stop() == 0
 
 
@@ -216,20 +340,8 @@ def test_rods_that_move_are_not_captured(
 def test_node_refuses_to_start(
     tmp_path: Path, parameters: dict[str, object], message: str
 ) -> None:
-    from test.system.graph import NodeProcess
-
     node = NodeProcess('calibration_node', tmp_path / 'log', **parameters)
-    assert node.process.wait(30) == 1
+    wait_until(lambda: node.process.poll() is not None, 'the end of the node')
+    assert node.process.returncode == 1
     assert message in node.text()
     assert 'Traceback' not in node.text(), node.text()
-
-
-def _offer_set_camera_info(graph: Graph, side: str, taken: list[CameraInfo]) -> Any:
-    def answer(request: Any, response: Any) -> Any:
-        taken.append(request.camera_info)
-        response.success = side == 'left' or len(taken) == 1
-        if not response.success:
-            response.status_message = 'the flash is locked'
-        return response
-
-    return graph.node.create_service(SetCameraInfo, f'/rig/{side}/set_camera_info', answer)

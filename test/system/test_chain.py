@@ -30,7 +30,7 @@ from test.bag_tools import PERIOD_NS, START_NS, Record
 from test.system.chain import OUTPUTS, prime, start_chain
 from test.system.conftest import StartNode
 from test.system.graph import Graph, executable, wait_until
-from test.system.rig import SIDES, CameraPair, header, pictures, raw_rig
+from test.system.rig import SIDES, CameraPair, header, image_pair, raw_rig
 
 # covers offsets of the principal points from -32.8 to +32.8 px
 RANGE = {'min_disparity': -32, 'disparity_range': 88}
@@ -49,7 +49,7 @@ FRAMES = [
 
 
 def camera_message(bgr: np.ndarray, encoding: str, index: int, side: str) -> Image:
-    """Return a camera's picture in an encoding."""
+    """Return an image of a camera in an encoding."""
     grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
     message = Image(header=header(index, side), encoding=encoding)
     message.height, message.width = grey.shape
@@ -89,7 +89,7 @@ def frames(graph: Graph, start_node: StartNode) -> Iterator[list[Frame]]:
             images = [
                 camera_message(image, encoding, index, side)
                 for image, side in zip(
-                    pictures(index, colour=True), ('left', 'right'), strict=True
+                    image_pair(index, colour=True), ('left', 'right'), strict=True
                 )
             ]
             cameras.send(index, (None, None), left_image=images[0], right_image=images[1])
@@ -113,7 +113,7 @@ def test_headers(frames: list[Frame]) -> None:
             assert message.header == header(index, side), topic
 
 
-def test_rectified_pictures(frames: list[Frame]) -> None:
+def test_rectified_images(frames: list[Frame]) -> None:
     for (messages, expected, _), (encoding, _) in zip(frames, FRAMES, strict=True):
         kept = 'bgr8' if encoding in ('bayer_rggb8', 'yuv422') else encoding
         for side, image in (('left', expected.left), ('right', expected.right)):
@@ -194,8 +194,8 @@ def test_heat_map(frames: list[Frame]) -> None:
     for messages, expected, _ in frames:
         message = messages['disparity_color']
         assert message.encoding == 'bgr8'
-        picture = heat_map(expected.filtered.disparity_px, CONFIG.match.limits_px)
-        difference = np.abs(read_image(message).image.astype(int) - picture)
+        drawn = heat_map(expected.filtered.disparity_px, CONFIG.match.limits_px)
+        difference = np.abs(read_image(message).image.astype(int) - drawn)
         assert np.mean(difference.max(axis=-1) > 8) < 0.01  # 1e-3 px may change a colour's step
 
 
@@ -205,17 +205,17 @@ def test_frames_come_once(frames: list[Frame]) -> None:
 
 
 @pytest.mark.usefixtures('frames')
-def test_status_says_how_exact_the_filter_is(graph: Graph) -> None:
-    def exactness() -> dict[str, str]:
+def test_status_states_the_accuracy_of_the_solution(graph: Graph) -> None:
+    def solution() -> dict[str, str]:
         status = graph.status('/rig/wls_filter_node')
         values = {pair.key: pair.value for pair in status.values} if status else {}
         return {key: values[key] for key in ('iterations', 'estimated error') if key in values}
 
-    wait_until(lambda: len(exactness()) == 2, 'iterations and estimated error')
-    assert 1 <= int(exactness()['iterations']) < 100
+    wait_until(lambda: len(solution()) == 2, 'iterations and estimated error')
+    assert 1 <= int(solution()['iterations']) < 100
     assert (
         0
-        <= float(exactness()['estimated error'].removesuffix(' px'))
+        <= float(solution()['estimated error'].removesuffix(' px'))
         <= CONFIG.filter.wls_tolerance_px
     )
 
@@ -229,7 +229,7 @@ def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
         for count, ((colour, tight), (step, names)) in enumerate(layouts.items(), 1):
             options = {'use_color': colour, 'avoid_point_cloud_padding': tight, **limits}
             assert graph.set_parameters('/rig/wls_filter_node', **options) == ''
-            cameras.send(len(FRAMES) + count, pictures(1))
+            cameras.send(len(FRAMES) + count, image_pair(1))
             message = inbox.wait(count)[-1]
             assert [field.name for field in message.fields] == names.split()
             assert message.point_step == step
@@ -246,7 +246,7 @@ def record(path: Path, count: int) -> Path:
         for side, camera, image in zip(
             SIDES,
             (raw_rig().left, raw_rig().right),
-            pictures(index, colour=True),
+            image_pair(index, colour=True),
             strict=True,
         ):
             infos, images = f'/rig/{side}/camera_info', f'/rig/{side}/image_raw'
@@ -269,7 +269,9 @@ def test_a_bag_that_is_played_gives_what_it_gives_offline(graph: Graph, tmp_path
     with graph.listening(*topics) as inboxes:
         play = subprocess.Popen([executable('play_bag'), str(path), '--loop', '--rate', '0.5'])
         try:
-            wait_until(lambda: all(x.by_stamp().keys() == expected.keys() for x in inboxes), 'all')
+            wait_until(
+                lambda: all(x.by_stamp().keys() == expected.keys() for x in inboxes), 'all frames'
+            )
         finally:
             play.send_signal(signal.SIGINT)
             status = play.wait(20)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of real nodes: described, limited, live, refused with a reason."""
+"""Parameters of real nodes: described, limited, live, rejected with a reason."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from stereo_msgs.msg import DisparityImage
 
+from binocular_recon.calibration.target.rods import save_rods
 from binocular_recon.config import PRESETS, MatchConfig
 from binocular_recon.errors import ConfigError
-from binocular_recon.nodes.match_node import MatchNode
-from binocular_recon.nodes.rectify_node import RectifyNode
-from binocular_recon.nodes.runtime.endpoints import Output, offer
-from binocular_recon.nodes.wls_filter_node import WlsFilterNode
+from binocular_recon.nodes.registry import node_class, node_names
+from binocular_recon.nodes.runtime.endpoints import Output, create_output
+from binocular_recon.simulation.rods import paper_board
 from binocular_recon.stereo.rectification import Rectifier
 from test.system.conftest import StartNode
 from test.system.graph import Graph, NodeProcess, wait_until
-from test.system.rig import SIDES, CameraPair, pictures, raw_rig
+from test.system.rig import SIDES, CameraPair, image_pair, raw_rig
 
 TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
@@ -35,8 +35,11 @@ TYPES = {
 }
 
 
+CHAIN = ('rectify_node', 'match_node', 'wls_filter_node')
+
+
 @pytest.fixture(scope='module', autouse=True)
-def _nodes(start_node: StartNode) -> None:
+def _nodes(start_node: StartNode, tmp_path_factory: pytest.TempPathFactory) -> None:
     start_node('rectify_node')
     # window and range are explicit, the range as a whole number for a float option
     start_node(
@@ -51,14 +54,20 @@ def _nodes(start_node: StartNode) -> None:
         },
     )
     start_node('wls_filter_node', preset='paper')
+    folder = tmp_path_factory.mktemp('calibration')
+    save_rods(paper_board(), folder / 'rods.yaml')
+    required = {'calibration_node': {'rods': folder / 'rods.yaml', 'output': folder}}
+    for name in set(node_names()) - set(CHAIN):
+        start_node(name, namespace='/others', **required.get(name, {}))
 
 
-@pytest.mark.parametrize('node', [RectifyNode, MatchNode, WlsFilterNode])
-def test_every_option_is_described(graph: Graph, node: Any) -> None:
+@pytest.mark.parametrize('name', node_names())
+def test_every_option_is_described(graph: Graph, name: str) -> None:
+    node, namespace = node_class(name), '/rig' if name in CHAIN else '/others'
     groups = [(group, False) for group in node.LIVE] + [(group, True) for group in node.FIXED]
-    specs = {s.name: (s, fixed) for group, fixed in groups for s in dataclasses.fields(group)}
+    specs = {s.name: (s, fixed) for group, fixed in groups for s in dataclasses.fields(group)}  # type: ignore[arg-type]
     request = DescribeParameters.Request(names=list(specs))
-    answer = graph.call(f'/rig/{node.NAME}/describe_parameters', DescribeParameters, request)
+    answer = graph.call(f'{namespace}/{name}/describe_parameters', DescribeParameters, request)
     for descriptor, (spec, fixed) in zip(answer.descriptors, specs.values(), strict=True):
         meta = spec.metadata
         assert descriptor.type == TYPES[type(spec.default)], spec.name
@@ -91,17 +100,17 @@ def test_every_option_is_described(graph: Graph, node: Any) -> None:
         ('wls_filter_node', {'wls_guide': 'right'}, 'wls_guide must be one of left, disparity'),
     ],
 )
-def test_bad_value_is_refused_with_its_reason(
+def test_a_bad_value_is_rejected_with_the_reason(
     graph: Graph, node: str, values: dict[str, Any], reason: str
 ) -> None:
     names = list(values)
     before = graph.get_parameters(f'/rig/{node}', *names, 'image_transport')
-    said = graph.set_parameters(f'/rig/{node}', **values)
-    assert re.search(reason, said, re.IGNORECASE), said
+    rejection = graph.set_parameters(f'/rig/{node}', **values)
+    assert re.search(reason, rejection, re.IGNORECASE), rejection
     assert graph.get_parameters(f'/rig/{node}', *names, 'image_transport') == before
 
 
-def test_refusal_of_one_refuses_all(graph: Graph) -> None:
+def test_one_bad_value_rejects_all(graph: Graph) -> None:
     names = ('min_disparity', 'disp12_max_diff')
     before = graph.get_parameters('/rig/match_node', *names)
     reason = graph.set_parameters('/rig/match_node', min_disparity=4, disp12_max_diff=500.0)
@@ -136,7 +145,7 @@ def test_preset_given_at_the_start(graph: Graph) -> None:
 
 def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
     rectify = Rectifier(raw_rig())
-    images = rectify(*pictures(2))
+    images = rectify(*image_pair(2))
     cameras = CameraPair(graph, rectify.rig, image='image_rect', compressed=True)
     with graph.listening(('/rig/disparity', DisparityImage)) as (inbox,):
         graph.wait_for_subscriber(*cameras.topics)
@@ -150,16 +159,21 @@ def test_live_change_shows_in_the_next_frame(graph: Graph) -> None:
 
 
 def test_quality_of_service_is_that_of_the_sensors_unless_overridden(graph: Graph) -> None:
-    """Publishers are reliable, subscriptions best effort, but for those that were overridden."""
-    left_topic, right_topic = (f'/rig/{side}/image_rect/compressed' for side in SIDES)
+    """Publishers are reliable, subscriptions best effort, except where overridden."""
+
+    def subscriptions(side: str) -> list[Any]:
+        topic = f'/rig/{side}/image_rect/compressed'
+        found = graph.node.get_subscriptions_info_by_topic(topic)
+        return [one.qos_profile for one in found if one.node_name == 'match_node']
+
     with graph.listening(('/rig/disparity', DisparityImage)):
-        listening = partial(graph.node.get_subscriptions_info_by_topic, left_topic)
-        wait_until(listening, 'match_node to listen')
-        (left,) = [x.qos_profile for x in listening() if x.node_name == 'match_node']
-        (right,) = graph.node.get_subscriptions_info_by_topic(right_topic)
+        left, right = (
+            wait_until(partial(subscriptions, side), f'match_node to subscribe to {side}')[0]
+            for side in SIDES
+        )
     assert left.reliability == ReliabilityPolicy.BEST_EFFORT
-    assert right.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-    for node in (RectifyNode, MatchNode, WlsFilterNode):
+    assert right.reliability == ReliabilityPolicy.RELIABLE
+    for node in map(node_class, CHAIN):
         for output in node.OUTPUTS:
             for offered in graph.node.get_publishers_info_by_topic(f'/rig/{output.topic}'):
                 if offered.node_name == node.NAME:
@@ -191,12 +205,12 @@ def test_bad_value_at_the_start_ends_the_node(
     assert 'Traceback' not in node.text()
 
 
-def test_bad_override_of_a_publisher_is_said(graph: Graph) -> None:
+def test_a_bad_qos_override_of_a_publisher_is_reported(graph: Graph) -> None:
     name = 'qos_overrides./rig/disparity.publisher.reliability'
     arguments = ['--ros-args', '-p', f'{name}:=always']
     node = Node('own', namespace='/rig', context=graph.context, cli_args=arguments)
     try:
         with pytest.raises(ConfigError, match=r'output disparity: .*always'):
-            offer(node, Output('disparity', DisparityImage), Mock(), Mock())
+            create_output(node, Output('disparity', DisparityImage), Mock(), Mock())
     finally:
         node.destroy_node()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers and subscriptions: their QoS, its overrides, and words where it does not fit."""
+"""Create publishers and subscriptions with their QoS, and explain QoS mismatches."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Input:
     transported : bool
         Whether it follows ``image_transport``.
     optional : bool
-        Whether sets are complete without it while nobody publishes it.
+        Whether frames are complete without it while nobody publishes it.
 
     """
 
@@ -62,21 +62,21 @@ class Output:
     type: type[Any]
 
 
-def offer(
-    node: Node, one: Output, health: Health, on_match: Callable[[], None]
+def create_output(
+    node: Node, output: Output, health: Health, on_match: Callable[[], None]
 ) -> tuple[Any, bool]:
     """Create the publisher of an output: reliable, volatile, keep last 1, unless overridden.
 
-    Returns the publisher, and whether the middleware calls ``on_match`` when a subscriber comes
-    or goes. Raises a ConfigError if an override is not a QoS.
+    Returns the publisher, and whether the middleware calls ``on_match`` when a subscriber appears
+    or disappears. Raises a ConfigError if a QoS override is not valid.
     """
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-    explain = _explainer(node, one.topic, qos, health, publishes=True)
+    explain = _mismatch_reporter(node, output.topic, qos, health, publishes=True)
     events = PublisherEventCallbacks(incompatible_qos=explain, matched=lambda _event: on_match())
     create = functools.partial(
         node.create_publisher,
-        one.type,
-        one.topic,
+        output.type,
+        output.topic,
         qos,
         qos_overriding_options=QoSOverridingOptions.with_default_policies(),
     )
@@ -87,12 +87,12 @@ def offer(
             events.matched = None
             return create(event_callbacks=events), False
     except (InvalidQosOverridesError, RuntimeError) as error:
-        raise ConfigError(f'output {one.topic}: {error}') from error
+        raise ConfigError(f'output {output.topic}: {error}') from error
 
 
-def subscribe(
+def create_input(
     node: Node,
-    one: Input,
+    source: Input,
     callback: Callable[[Any], None],
     health: Health,
     *,
@@ -100,14 +100,14 @@ def subscribe(
 ) -> Any:
     """Create the subscription of an input: sensor data QoS unless overridden.
 
-    Compressed pictures are expected beside the raw ones' name after remapping. Raises a
-    ConfigError if an override is not a QoS.
+    The topic of compressed images follows from the remapped name of the raw ones. Raises a
+    ConfigError if a QoS override is not valid.
     """
-    topic, kind = one.topic, one.type
-    if one.transported and compressed:
+    topic, kind = source.topic, source.type
+    if source.transported and compressed:
         topic, kind = f'{node.resolve_topic_name(topic)}/compressed', CompressedImage
     qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    explain = _explainer(node, topic, qos, health, publishes=False)
+    explain = _mismatch_reporter(node, topic, qos, health, publishes=False)
     try:
         return node.create_subscription(
             kind,
@@ -121,10 +121,10 @@ def subscribe(
         raise ConfigError(f'input {topic}: {error}') from error
 
 
-def _explainer(
+def _mismatch_reporter(
     node: Node, topic: str, own: QoSProfile, health: Health, *, publishes: bool
 ) -> Callable[[Any], None]:
-    """Return an event callback that says in words which other side's QoS does not fit."""
+    """Return an event callback that reports whose QoS is incompatible and why."""
     name = node.resolve_topic_name(topic)
     role, other_role = ('publisher', 'subscriber') if publishes else ('subscription', 'publisher')
 
@@ -140,11 +140,12 @@ def _explainer(
             compatible, reason = qos_check_compatible(offered, requested)
             if compatible == QoSCompatibility.ERROR:
                 reason = reason.replace('ERROR: ', '').strip().rstrip(';')
-                known = not other.node_name.startswith('_')  # its name may come later
+                known = not other.node_name.startswith('_')  # it may be discovered later
                 who = f'{other_role} {other.node_name}' if known else f'a {other_role}'
                 health.warning(
-                    f'{name}: the QoS of {who} does not fit ({reason}), so no message passes;'
-                    f' change it or set parameter qos_overrides.{name}.{role}.reliability'
+                    f'{name}: the QoS of {who} is incompatible ({reason}), so it exchanges no'
+                    f' messages; change it or set parameter'
+                    f' qos_overrides.{name}.{role}.reliability'
                 )
 
     return explain

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has done and what is wrong with it, for its log and for /diagnostics."""
+"""Count what a node does and remember its problems, for the log and for /diagnostics."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-# How often a problem is repeated in the log, and how long it stays in the status.
+# How often a problem is repeated in the log, and for how long it stays in the status.
 _LOG_EVERY_S = 5.0
 _REMEMBERED_S = 3.0
-# Problems that differ in numbers only are of one kind; so many kinds are kept apart.
+# Problems whose texts differ only in numbers are of one kind; at most so many are remembered.
 _NUMBER = re.compile(r'\d+(\.\d+)?')
 _KINDS = 100
 
 
 class _Arrivals(NamedTuple):
-    """When the last message of a topic came, and how long after the one before."""
+    """When the last message of a topic arrived, and how long after the previous one."""
 
     last_s: float
     interval_s: float = 0.0
@@ -38,9 +38,9 @@ class Health:
     Parameters
     ----------
     logger : rclpy logger
-        Where problems are written, each at most every five seconds.
+        Logger of the node; a problem is logged at most every five seconds.
     clock : callable
-        Seconds that never go back.
+        Returns seconds of a monotonic clock.
 
     """
 
@@ -71,37 +71,37 @@ class Health:
             self._published[topic] += 1
 
     def dropped(self, reason: str, count: int = 1) -> None:
-        """Count what was received and not used."""
+        """Count received messages or frames that are not used."""
         with self._lock:
             self._dropped[reason] += count
 
     def processed(self, seconds: float) -> None:
-        """Note how long a frame took."""
+        """Record how long a frame took."""
         with self._lock:
             self._durations_s.append(seconds)
 
     def state(self, name: str, value: str) -> None:
-        """Set a line of the status, such as the calibration in use."""
+        """Set a value of the status, such as the calibration in use."""
         with self._lock:
             self._facts[name] = value
 
     def error(self, text: str) -> None:
-        """Report that a frame could not be used; the status says so for a while."""
+        """Report that a frame could not be used; the status shows it for a while."""
         self._remember(DiagnosticStatus.ERROR, text)
 
     def warning(self, text: str) -> None:
-        """Report what makes results worse; the status says so for a while."""
+        """Report what degrades the results; the status shows it for a while."""
         self._remember(DiagnosticStatus.WARN, text)
 
     def expect(self, topics: list[str]) -> None:
-        """Begin to wait for messages: nothing has been silent before now."""
+        """Wait for messages on these topics from now on."""
         with self._lock:
             self._arrivals = {topic: _Arrivals(self._clock()) for topic in topics}
 
     def silent(self) -> dict[str, float]:
         """Return the expected topics without a message, and for how many seconds.
 
-        A topic may be silent for three of its intervals, at least three seconds.
+        A topic counts as silent after three of its intervals, at least three seconds.
         """
         with self._lock:
             now = self._clock()
@@ -114,11 +114,13 @@ class Health:
     def status(
         self, name: str, hardware: str, level: bytes, summary: str, *, dropped: Counter[str]
     ) -> DiagnosticStatus:
-        """Return the status; recent problems raise its level and take the place of ``summary``."""
+        """Return the status; a recent problem of a higher level replaces ``summary``."""
         with self._lock:
             now = self._clock()
             for recent, (since, text) in sorted(self._problems.items()):
-                if now - since <= _REMEMBERED_S and level <= recent:  # worse than stale is nothing
+                if (
+                    now - since <= _REMEMBERED_S and level <= recent
+                ):  # stale stays: it is the highest
                     level, summary = recent, text
             values = {f'received {topic}': str(n) for topic, n in self._received.items()}
             values |= {f'published {topic}': str(n) for topic, n in self._published.items()}
@@ -139,7 +141,7 @@ class Health:
         )
 
     def log(self, level: bytes, text: str) -> None:
-        """Write a problem into the log, unless it was there just before, but for its numbers."""
+        """Log a problem, unless one of the same kind was logged just before."""
         kind = _NUMBER.sub('#', text)
         with self._lock:
             now = self._clock()
@@ -153,8 +155,8 @@ class Health:
                 self._logged.clear()
             self._logged[kind] = (now, 0)
         if unlogged:
-            text = f'{text} ({unlogged} more like this since the last time)'
-        # two places: rclpy remembers the severity of each
+            text = f'{text} ({unlogged} more since this was last logged)'
+        # two calls: rclpy allows one severity per call site
         if level == DiagnosticStatus.ERROR:
             self._logger.error(text)
         else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that only the nodes have. Names that image_pipeline knows keep its meaning."""
+"""Options that only the nodes have; names that image_pipeline has keep its meaning."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from binocular_recon.options import Options, option
 
 @dataclass(frozen=True)
 class QueueOptions(Options):
-    """How long a node waits for messages that belong together."""
+    """How long messages wait for others with a matching stamp."""
 
     queue_size: int = option(
-        5, 'Messages of an input that wait for their partners', minimum=1, maximum=1000
+        5,
+        'Messages kept per input while they wait for the rest of their frame',
+        minimum=1,
+        maximum=1000,
     )
 
 
@@ -26,12 +29,12 @@ class InputOptions(QueueOptions):
     """How a node receives and pairs its inputs."""
 
     image_transport: str = option(
-        'raw', 'Form in which pictures arrive', choices=('raw', 'compressed')
+        'raw', 'Transport of the incoming images', choices=('raw', 'compressed')
     )
-    approximate_sync: bool = option(False, 'Pair inputs whose stamps differ')
+    approximate_sync: bool = option(False, 'Combine messages whose stamps differ')
     approximate_sync_tolerance_seconds: float = option(
         0.0,
-        'Largest difference of stamps in a pair with approximate_sync; 0 = any',
+        'Largest difference of stamps within a frame with approximate_sync; 0 = any',
         unit='s',
         minimum=0.0,
         maximum=10.0,
@@ -39,7 +42,7 @@ class InputOptions(QueueOptions):
 
     @property
     def tolerance_ns(self) -> int | None:
-        """Largest difference of stamps in a pair, None = any."""
+        """Largest difference of stamps within a frame, None = any."""
         if not self.approximate_sync:
             return 0
         return round(self.approximate_sync_tolerance_seconds * 1e9) or None
@@ -47,12 +50,12 @@ class InputOptions(QueueOptions):
 
 @dataclass(frozen=True)
 class LateInputOptions(InputOptions):
-    """How a node pairs pictures with what another node made of them a while later."""
+    """How a node combines images with data that another node computes from them."""
 
     queue_size: int = option(
         60,
-        'Messages of an input that wait for their partners: pictures wait for their disparities,'
-        ' so more than matching time times frame rate',
+        'Messages kept per input while they wait for the rest of their frame; images wait for'
+        ' their disparities, so it must exceed matching time times frame rate',
         minimum=1,
         maximum=1000,
     )
@@ -60,29 +63,29 @@ class LateInputOptions(InputOptions):
 
 @dataclass(frozen=True)
 class PresetOptions(Options):
-    """Which preset gives the values that are not set explicitly."""
+    """Which preset sets the options that are not set explicitly."""
 
     preset: str = option(
         'default',
-        'Named set of values for all options that are not set explicitly',
+        'Set of values for all options that are not set explicitly',
         choices=tuple(PRESETS),
     )
 
 
 @dataclass(frozen=True)
 class RectifyOptions(Options):
-    """How pictures are rectified."""
+    """How images are rectified."""
 
     alpha: float = option(
         -1.0,
-        "-1: use the camera infos' R and P; 0..1: scale P of both cameras so that at 0 all pixels"
-        ' have data and at 1 no raw pixel is lost',
+        '-1: use R and P of the camera infos; 0..1: rescale P of both cameras; at 0 all rectified'
+        ' pixels have data, at 1 no raw pixel is lost',
         minimum=-1.0,
         maximum=1.0,
     )
     interpolation: int = option(
         cv2.INTER_LINEAR,
-        "OpenCV's interpolation: 0 nearest, 1 linear, 2 cubic, 3 area, 4 Lanczos",
+        "OpenCV's interpolation method: 0 nearest, 1 linear, 2 cubic, 3 area, 4 Lanczos",
         minimum=0,
         maximum=4,
     )
@@ -96,20 +99,35 @@ class RectifyOptions(Options):
 
 @dataclass(frozen=True)
 class CalibrationOptions(Options):
-    """Where the calibration comes from."""
+    """Which calibration is used."""
 
     calibration: str = option(
         '',
-        "Folder with left.yaml and right.yaml that replaces the cameras' own camera infos; empty:"
-        ' use theirs',
+        "Folder with left.yaml and right.yaml to use instead of the cameras' own camera infos;"
+        ' empty: use those',
     )
 
 
 @dataclass(frozen=True)
 class CloudMessageOptions(Options):
-    """What PointCloud2 messages hold."""
+    """What PointCloud2 messages contain."""
 
     use_color: bool = option(True, 'Give each point the colour of its pixel')
     avoid_point_cloud_padding: bool = option(
         False, 'Leave no unused bytes between the fields of a point'
+    )
+
+
+@dataclass(frozen=True)
+class RodOptions(Options):
+    """Which rods are captured and where the calibration is kept."""
+
+    rods: str = option('', 'File rods.yaml that describes the rods')
+    output: str = option('', 'Folder of the calibration; captures are kept in captures/ under it')
+    left_camera_name: str = option('left', 'Name of the left camera in its calibration file')
+    right_camera_name: str = option('right', 'Name of the right camera in its calibration file')
+    calibration: str = option(
+        '',
+        'Folder with left.yaml and right.yaml; capture then reports by how many rows the marks'
+        ' differ after rectification with it. Empty: it does not',
     )

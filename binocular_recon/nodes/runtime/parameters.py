@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters generated from option groups: nothing about an option is written twice."""
+"""Declare ROS parameters from option groups, so that an option is described in one place."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Group = TypeVar('Group', bound=Options)
 class Parameters:
     """The parameters of a node.
 
-    A value that the user set, by file, command line or service, stays when ``preset`` changes;
+    A value that the user sets, by file, command line or service, survives a change of ``preset``;
     all others follow the preset.
 
     Parameters
@@ -42,7 +42,7 @@ class Parameters:
     Raises
     ------
     ConfigError
-        If a value given at the start is not accepted.
+        If a value given at the start is not valid.
 
     """
 
@@ -58,18 +58,18 @@ class Parameters:
         for name in sorted(self._specs, key=lambda name: name != 'preset'):
             self._declare(node, name, read_only=name in read_only)
         self._check(self._values)
-        node.add_pre_set_parameters_callback(self._complete)
-        node.add_on_set_parameters_callback(self._refuse)
+        node.add_pre_set_parameters_callback(self._add_preset)
+        node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._accept)
 
     def of(self, group: type[Group]) -> Group:
-        """Return the present values of one group."""
-        values = self._values  # replaced as a whole by `_accept`, perhaps in another thread
+        """Return the current values of one group."""
+        values = self._values  # another thread may replace it, as a whole
         return group(**{spec.name: values[spec.name] for spec in _fields(group)})
 
     def _declare(self, node: Node, name: str, *, read_only: bool) -> None:
         spec = self._specs[name]
-        # the first declaration only asks whether the user gave a value, of whatever type
+        # the first declaration only finds out whether the user gave a value, of whatever type
         given = node.declare_parameter(name, descriptor=ParameterDescriptor(dynamic_typing=True))
         node.undeclare_parameter(name)
         preset = PRESETS.get(str(self._values.get('preset')), {})
@@ -83,12 +83,12 @@ class Parameters:
         self._values[name] = value
 
     def _check(self, values: dict[str, OptionValue]) -> None:
-        """Raise a ConfigError if a group does not accept its values."""
+        """Raise a ConfigError if the values of a group are not valid."""
         for group in self._groups:
             group(**{spec.name: values[spec.name] for spec in _fields(group)})
 
-    def _complete(self, parameters: list[Parameter[Any]]) -> list[Parameter[Any]]:
-        """Turn whole numbers into the floats they stand for; add what a new preset sets."""
+    def _add_preset(self, parameters: list[Parameter[Any]]) -> list[Parameter[Any]]:
+        """Convert whole numbers given for float options; add the values of a new preset."""
         given = {parameter.name: _as_declared(parameter, self._specs) for parameter in parameters}
         self._from_preset = set()
         if 'preset' in given and given['preset'].value in PRESETS and 'preset' in self._specs:
@@ -102,8 +102,8 @@ class Parameters:
                     given[name] = Parameter(name, value=value)
         return list(given.values())
 
-    def _refuse(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
-        """Refuse all of them with the reason if one is not accepted."""
+    def _validate(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
+        """Reject all of them, with the reason, if one is not valid."""
         try:
             self._check({**self._values, **self._own(parameters)})
         except ConfigError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The life of a node's process."""
+"""Run a node in its process, from the command line to the exit status."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from rclpy.utilities import remove_ros_args
 
 from binocular_recon.errors import BinocularReconError, ConfigError
 
-# Where in the sources of ROS an error was found.
-_PLACE = re.compile(r', at \S+:\d+')
+# The source location that ROS appends to its errors.
+_LOCATION = re.compile(r', at \S+:\d+')
 
 
-def init_ros(words: Sequence[str], **options: Any) -> None:
+def init_ros(command_line: Sequence[str], **options: Any) -> None:
     """Start ROS with a command line.
 
     Parameters
     ----------
-    words : sequence of str
+    command_line : sequence of str
         The program's name and its arguments.
     **options
         Passed to ``rclpy.init``.
@@ -38,20 +38,22 @@ def init_ros(words: Sequence[str], **options: Any) -> None:
     Raises
     ------
     ConfigError
-        If ROS refuses an argument, or one does not follow ``--ros-args``.
+        If ROS rejects an argument, or there is one before ``--ros-args``.
 
     """
-    words = list(words)
+    command_line = list(command_line)
     try:
-        others = remove_ros_args(words)[1:]
+        others = remove_ros_args(command_line)[1:]
         if not others:
-            rclpy.init(args=words, **options)
+            rclpy.init(args=command_line, **options)
     except RuntimeError as error:
-        reason = _PLACE.sub('', str(error))
-        raise ConfigError(f'ROS refuses the arguments {" ".join(words[1:])}: {reason}') from error
+        reason = _LOCATION.sub('', str(error))
+        raise ConfigError(
+            f'ROS rejects the arguments {" ".join(command_line[1:])}: {reason}'
+        ) from error
     if others:
         raise ConfigError(
-            f'arguments {" ".join(others)} are not known; parameters and remappings follow'
+            f'unknown arguments {" ".join(others)}; give parameters and remappings after'
             ' --ros-args'
         )
 
@@ -64,16 +66,16 @@ def run_node(
     Parameters
     ----------
     make_node : callable
-        Makes the node, such as its class.
+        Returns the node, such as its class.
     args : sequence of str, optional
         Command line with the program's name; that of the process by default.
     threads : int
-        Callbacks that can be under way at once.
+        Callbacks that can run at the same time.
 
     Returns
     -------
     int
-        Exit status: 0 when interrupted, 1 if the node refuses its arguments or parameters.
+        Exit status: 0 when interrupted, 1 if arguments or parameters are not valid.
 
     """
     node = None
@@ -89,7 +91,7 @@ def run_node(
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except RuntimeError:
-        # an interrupt in a destructor raises nothing; spinning then finds ROS shut down
+        # Ctrl-C in a destructor is not raised; spinning then finds that ROS was shut down
         if node is None or rclpy.ok():
             raise
     finally:
@@ -100,6 +102,6 @@ def run_node(
 
 
 def _show_unraisable(unraisable: Any) -> None:
-    """Show what cannot be raised, in a destructor, unless it is Ctrl-C."""
+    """Show an exception that a destructor cannot raise, unless it is Ctrl-C."""
     if not issubclass(unraisable.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work beside the executor: the newest job first, never a backlog."""
+"""Run jobs in a worker thread, the newest first, without a backlog."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class LatestWorker(Generic[Job]):
     Parameters
     ----------
     work : callable
-        Does a job, in the thread.
-    failed : callable
-        Takes, in the thread, what ``work`` raised; the next job is done all the same.
+        Does a job, in the worker thread.
+    on_error : callable
+        Called in the worker thread with what ``work`` raised; the thread then takes the next job.
 
     """
 
-    def __init__(self, work: Callable[[Job], None], failed: Callable[[Exception], None]) -> None:
-        self._work, self._failed = work, failed
+    def __init__(self, work: Callable[[Job], None], on_error: Callable[[Exception], None]) -> None:
+        self._work, self._on_error = work, on_error
         self._waiting: list[Job] = []  # at most one
         self._closed = False
         self._changed = threading.Condition()
@@ -31,7 +31,7 @@ class LatestWorker(Generic[Job]):
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
-        """Hand in a job; return True if it replaced one that had not begun."""
+        """Hand in a job; return True if it replaced one that was still waiting."""
         with self._changed:
             replaced = bool(self._waiting)
             self._waiting = [job]
@@ -39,7 +39,7 @@ class LatestWorker(Generic[Job]):
             return replaced
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Let the present job end, begin no other."""
+        """Let the current job finish and start no other."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -55,5 +55,5 @@ class LatestWorker(Generic[Job]):
             try:
                 self._work(job)
             except Exception as error:  # noqa: BLE001 - a fault in one job must not end the thread
-                self._failed(error)
-            del job  # a picture is not kept until the next one comes
+                self._on_error(error)
+            del job  # else its images stay in memory until the next job

@@ -89,7 +89,7 @@ def test_the_same_problem_is_logged_every_five_seconds(
     assert log.errors == ['image holds 0.5 bytes', 'another one']
     clock.now += 5.1
     health.error('image holds 9 bytes')
-    assert log.errors[2] == 'image holds 9 bytes (3 more like this since the last time)'
+    assert log.errors[2] == 'image holds 9 bytes (3 more since this was last logged)'
     for kind in range(300):  # no memory without end
         health.warning('x' * kind)
     assert len(log.warnings) == 300 and len(health._logged) <= 100
@@ -102,7 +102,7 @@ def test_silence_is_measured_against_the_interval(health: Any, clock: Clock) -> 
     health.received('left')
     clock.now += 0.2
     assert health.silent() == {'right': pytest.approx(3.1)}
-    # a camera that takes a picture every 4 s is not silent after 3 s
+    # a camera that takes an image every 4 s is not silent after 3 s
     clock.now += 3.8
     health.received('left')
     clock.now += 11.9

@@ -11,27 +11,27 @@ def unexpected(error: Exception) -> None:
 
 
 def test_the_newest_job_is_done_next_and_no_other_waits() -> None:
-    begun, go, done = threading.Event(), threading.Event(), []
+    begun, go, last = threading.Event(), threading.Event(), threading.Event()
+    done = []
 
     def work(job: int) -> None:
         begun.set()
         assert go.wait(5)
         done.append(job)
+        if job == 3:
+            last.set()
 
     worker = LatestWorker(work, unexpected)
     assert worker.submit(0) is False
     assert begun.wait(5)  # 0 is being done
     assert [worker.submit(job) for job in (1, 2, 3)] == [False, True, True]
     go.set()
-    for _ in range(500):
-        if len(done) == 2:
-            break
-        threading.Event().wait(0.01)
+    assert last.wait(5)
     worker.close(5)
     assert done == [0, 3]
 
 
-def test_close_lets_the_present_job_end_and_begins_no_other() -> None:
+def test_close_lets_the_current_job_finish_and_starts_no_other() -> None:
     begun, go, done = threading.Event(), threading.Event(), []
 
     def work(job: int) -> None:
@@ -43,8 +43,12 @@ def test_close_lets_the_present_job_end_and_begins_no_other() -> None:
     worker.submit(0)
     assert begun.wait(5)
     worker.submit(1)
-    threading.Timer(0.1, go.set).start()
-    worker.close(5)
+    closing = threading.Thread(target=worker.close, args=[5])
+    closing.start()
+    with worker._changed:
+        assert worker._changed.wait_for(lambda: worker._closed, 5)
+    go.set()
+    closing.join()
     assert done == [0]
 
 

@@ -25,28 +25,30 @@ pytestmark = pytest.mark.ros
         (
             MemoryError('Unable to allocate 9 GiB'),
             'not enough memory',
-            'Unable to allocate 9 GiB; choose a smaller disparity_range or smaller pictures',
+            'Unable to allocate 9 GiB; reduce disparity_range or the size of the images',
         ),
     ],
 )
-def test_a_frame_that_fails_is_counted_and_said(error: Exception, dropped: str, text: str) -> None:
-    from binocular_recon.nodes.runtime.base_node import StereoNode
+def test_a_frame_that_fails_is_counted_and_reported(
+    error: Exception, dropped: str, text: str
+) -> None:
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
 
     node: Any = SimpleNamespace(
         process=Mock(side_effect=error), health=Mock(), context=Mock(), _processed=0
     )
-    StereoNode._work(node, ('left', 'right'))
+    FrameNode._process_frame(node, ('left', 'right'))
     node.health.dropped.assert_called_once_with(dropped)
     assert text in node.health.error.call_args.args[0]
     assert node._processed == 0
 
 
 @pytest.mark.parametrize('running', [True, False])
-def test_a_fault_of_ours_is_counted_and_said_while_the_node_runs(running: bool) -> None:
-    from binocular_recon.nodes.runtime.base_node import StereoNode
+def test_an_internal_error_is_counted_and_reported_while_the_node_runs(running: bool) -> None:
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
 
     node: Any = SimpleNamespace(health=Mock(), context=Mock(ok=lambda: running))
-    StereoNode._fail(node, ZeroDivisionError('fault'))
+    FrameNode._on_internal_error(node, ZeroDivisionError('fault'))
     if running:
         node.health.dropped.assert_called_once_with('internal error')
         assert 'ZeroDivisionError: fault' in node.health.error.call_args.args[0]
@@ -54,15 +56,15 @@ def test_a_fault_of_ours_is_counted_and_said_while_the_node_runs(running: bool) 
         assert node.health.mock_calls == []
 
 
-def missing_sets(
+def missing_frames(
     feed: Callable[[Synchronizer], None], silent: dict[str, float], confidence_publishers: int
 ) -> str:
-    """Return why there are no sets of pictures, disparities and optional confidences."""
-    from binocular_recon.nodes.runtime.base_node import StereoNode
+    """Return why there are no frames of images, disparities and optional confidences."""
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
     from binocular_recon.nodes.runtime.options import InputOptions
 
     names = ('left', 'disparity', 'confidence')
-    node: Any = object.__new__(StereoNode)
+    node: Any = object.__new__(FrameNode)
     node._inputs = dict.fromkeys(names)
     node._optional = {'confidence': '/rig/confidence'}
     node._synchronizer = Synchronizer(names, queue_size=5)
@@ -71,7 +73,7 @@ def missing_sets(
     node.health = Mock(silent=lambda: silent)
     node.count_publishers = lambda _: confidence_publishers
     feed(node._synchronizer)
-    return StereoNode.explain_missing_sets(node)
+    return FrameNode.explain_missing_frames(node)
 
 
 def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
@@ -89,8 +91,8 @@ def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
             {'confidence': 4.0},
             1,
             (
-                'sets wait for confidence, which has a publisher but no messages; check that'
-                ' publisher or stop it: sets are complete without'
+                'frames wait for confidence, which has a publisher but no messages; check that'
+                ' publisher or stop it: confidence is optional'
             ),
         ),
         (
@@ -98,8 +100,8 @@ def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
             {'confidence': 4.0},
             0,
             (
-                'messages on disparity come too late: others of their stamp have made room for'
-                ' newer ones by then; raise queue_size to at least 9'
+                'messages on disparity arrive too late: their partners had already been dropped;'
+                ' raise queue_size to at least 9'
             ),
         ),
         (
@@ -114,38 +116,43 @@ def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
         ),
     ],
 )
-def test_why_there_are_no_sets(
+def test_why_there_are_no_frames(
     feed: Callable[[Synchronizer], None], silent: dict[str, float], publishers: int, text: str
 ) -> None:
-    assert missing_sets(feed, silent, publishers) == text
+    assert missing_frames(feed, silent, publishers) == text
 
 
 @pytest.mark.parametrize(
     ('ages_s', 'too_late', 'level', 'text'),
     [
-        ({}, '', 'OK', '7 frames within a second'),
-        ({'confidence': 9.0}, '', 'OK', '7 frames within a second'),
-        ({}, 'come too late', 'WARN', 'come too late'),
-        ({'disparity': 4.0, 'sets': 4.0}, '', 'ERROR', 'no message on disparity for 4.0 s; check'),
+        ({}, '', 'OK', '7 frames in the last second'),
+        ({'confidence': 9.0}, '', 'OK', '7 frames in the last second'),
+        ({}, 'arrive too late', 'WARN', 'arrive too late'),
+        (
+            {'disparity': 4.0, 'sets': 4.0},
+            '',
+            'ERROR',
+            'no messages on disparity for 4.0 s; check',
+        ),
         ({'left': 4.0, 'disparity': 4.0}, '', 'STALE', 'no messages on left, disparity; start'),
-        ({'sets': 4.0}, 'come too late', 'ERROR', 'come too late'),
+        ({'sets': 4.0}, 'arrive too late', 'ERROR', 'arrive too late'),
     ],
 )
-def test_what_keeps_frames_from_coming(
+def test_what_prevents_frames(
     ages_s: dict[str, float], too_late: str, level: str, text: str
 ) -> None:
     """An optional input may be silent."""
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    from binocular_recon.nodes.runtime.base_node import StereoNode
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
 
-    node: Any = object.__new__(StereoNode)
-    node._processed, node._superseded, node._listening = 7, 0, [Mock()]
+    node: Any = object.__new__(FrameNode)
+    node._processed, node._superseded, node._subscriptions_in_use = 7, 0, [Mock()]
     node._inputs = dict.fromkeys(('left', 'disparity', 'confidence'))
     node._optional = {'confidence': '/rig/confidence'}
     node.count_publishers = lambda _: 1
     node.health = Mock(silent=lambda: ages_s)
     node._explain_lateness = lambda: too_late
-    said = StereoNode._condition(node)
-    assert said[0] == getattr(DiagnosticStatus, level) and text in said[1]
+    reported = FrameNode.condition(node)
+    assert reported[0] == getattr(DiagnosticStatus, level) and text in reported[1]
     assert node.health.log.called == (level != 'OK')

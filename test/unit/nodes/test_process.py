@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node's process begins and ends."""
+"""How a node's process starts and ends."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ pytestmark = pytest.mark.ros
 @pytest.mark.parametrize(
     ('words', 'reason'),
     [
-        (['--ros-args', '--params-file', '/no'], r"^ROS refuses .* '--params-file /no'.*file$"),
-        (['--ros-args', '-p'], 'ROS refuses the arguments --ros-args -p: .*trailing -p flag'),
-        (['--ros-args', '--nonsense'], 'ROS refuses the arguments .*nonsense'),
-        (['-p', 'a:=1'], 'arguments -p a:=1 are not known; parameters .* follow --ros-args'),
+        (['--ros-args', '--params-file', '/no'], r"^ROS rejects .* '--params-file /no'.*file$"),
+        (['--ros-args', '-p'], 'ROS rejects the arguments --ros-args -p: .*trailing -p flag'),
+        (['--ros-args', '--nonsense'], 'ROS rejects the arguments .*nonsense'),
+        (['-p', 'a:=1'], 'unknown arguments -p a:=1; give parameters .* after --ros-args'),
     ],
 )
-def test_a_bad_command_line_is_refused_in_words(words: list[str], reason: str) -> None:
+def test_a_bad_command_line_is_rejected_with_the_reason(words: list[str], reason: str) -> None:
     from binocular_recon.nodes.runtime.process import init_ros
 
     with pytest.raises(ConfigError, match=reason):
@@ -36,14 +36,14 @@ def test_a_node_ends_with_status_1(capfd: pytest.CaptureFixture[str]) -> None:
         raise AssertionError('not reached')
 
     assert run_node(make_node, ['match_node', '-p', 'a:=1']) == 1  # type: ignore[arg-type]
-    assert 'are not known' in capfd.readouterr().err
+    assert 'unknown arguments' in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('interrupted', [True, False])
-def test_what_fails_after_an_interrupt_is_no_failure(
+def test_an_error_after_an_interrupt_is_not_a_failure(
     monkeypatch: pytest.MonkeyPatch, interrupted: bool
 ) -> None:
-    """Ctrl-C within a destructor raises nothing; the wait set then finds ROS shut down."""
+    """Ctrl-C in a destructor is not raised; the wait set then finds that ROS was shut down."""
     import rclpy
 
     from binocular_recon.nodes.runtime.process import run_node

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest pair of pictures, handed from the thread that receives to those that serve."""
+"""The newest image pair, handed from the thread that receives it to those that use it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from binocular_recon.images import Image
 
 @dataclass(frozen=True, eq=False)
 class ImagePair:
-    """Two pictures (H, W) or (H, W, C) of one size, taken together."""
+    """Two images (H, W) or (H, W, C) of one size, taken at the same time."""
 
     left: Image
     right: Image
@@ -36,54 +36,56 @@ class NewestPair:
         self._changed = threading.Condition()
 
     def put(self, pair: ImagePair) -> None:
-        """Take a pair in place of the one before."""
+        """Replace the pair by a newer one."""
         self._replace(pair, '')
 
-    def spoil(self, problem: str) -> None:
-        """Say why the newest pair cannot be used, which makes the one before outdated."""
+    def invalidate(self, problem: str) -> None:
+        """Drop the pair because a newer one cannot be used, and say why it cannot."""
         self._replace(None, problem)
 
-    def captured(self, pair: ImagePair | None) -> None:
-        """Let `fresh` refuse this pair from now on; None: none."""
+    def mark_captured(self, pair: ImagePair | None) -> None:
+        """Let `take` refuse this pair from now on; None: refuse none."""
         self._captured = pair
 
-    def fresh(self, silence: Callable[[], str]) -> ImagePair:
+    def take(self, explain_silence: Callable[[], str]) -> ImagePair:
         """Return the newest pair.
 
         Parameters
         ----------
-        silence : callable
-            Says why no pair comes; empty while they do.
+        explain_silence : callable
+            Returns why no pairs arrive, '' while they do.
 
         Raises
         ------
         CalibrationError
-            If it cannot be used, no board is in it that was not captured, or no newer one comes.
+            If it cannot be used, was captured before, or no newer ones arrive.
 
         """
         with self._changed:
             pair, problem = self._pair, self._problem
         if problem:
-            raise CalibrationError(f'not captured: the newest pair cannot be used: {problem}')
-        why = silence()
+            raise CalibrationError(f'not captured: the newest image pair is unusable: {problem}')
+        silence = explain_silence()
         if pair is None:
             raise CalibrationError(
-                f'not captured: no synchronised pair yet; {why or "wait for the cameras"}'
+                'not captured: no synchronised image pair has arrived yet;'
+                f' {silence or "wait for the cameras"}'
             )
         if pair is self._captured:
             raise CalibrationError(
-                'not captured: no synchronised pair has come since the last capture;'
-                f' {why or "wait for the next one or check the cameras"}'
+                'not captured: no synchronised image pair has arrived since the last capture;'
+                f' {silence or "wait for the next one or check the cameras"}'
             )
-        if why:
+        if silence:
             age_s = time.monotonic() - pair.arrived_s
             raise CalibrationError(
-                f'not captured: the last synchronised pair came {age_s:.1f} s ago; {why}'
+                f'not captured: the last synchronised image pair arrived {age_s:.1f} s ago;'
+                f' {silence}'
             )
         return pair
 
-    def after(self, pair: ImagePair, timeout_s: float) -> ImagePair | None:
-        """Return the newest pair once it is another one than ``pair``; None if none comes."""
+    def wait_for_next(self, pair: ImagePair, timeout_s: float) -> ImagePair | None:
+        """Return the first pair that replaces ``pair``, None if none arrives in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._pair not in (pair, None), timeout_s)
             return self._pair if self._pair is not pair else None

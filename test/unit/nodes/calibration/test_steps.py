@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration services check and say."""
+"""What a capture is checked for."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import pytest
 
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.errors import CalibrationError
-from binocular_recon.nodes.calibration_steps import check_still, detect_pair, size_words
-from binocular_recon.nodes.newest_pair import ImagePair
+from binocular_recon.nodes.calibration.newest_pair import ImagePair
+from binocular_recon.nodes.calibration.steps import (
+    check_still,
+    describe_size_change,
+    detect_pair,
+)
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
@@ -17,7 +21,7 @@ from binocular_recon.simulation.rods import paper_board
 BOARD = paper_board()
 
 
-def test_rods_that_are_gone_or_not_seen_again_do_not_pass_for_still() -> None:
+def test_rods_count_as_still_only_if_they_are_found_again_in_the_same_place() -> None:
     options = CaptureOptions(depth_m=(3.0, 6.0))
     shown = simulate_capture(BOARD, survey_rig(scale=0.5), np.random.default_rng(1), options)
     pair = ImagePair(shown.left, shown.right, 10.0)
@@ -25,7 +29,7 @@ def test_rods_that_are_gone_or_not_seen_again_do_not_pass_for_still() -> None:
     capture = Capture('new', left.marks_px, right.marks_px)
     later = ImagePair(shown.left, shown.right, 10.5)
     assert check_still(pair, capture, later, BOARD) == ''
-    assert 'was not seen' in check_still(pair, capture, None, BOARD)
+    assert 'no further pair arrived' in check_still(pair, capture, None, BOARD)
     empty = np.full_like(shown.left, 120)
     with pytest.raises(CalibrationError, match=r'were not found again 0\.50 s later; wait until'):
         check_still(pair, capture, ImagePair(empty, empty, 10.5), BOARD)
@@ -34,7 +38,9 @@ def test_rods_that_are_gone_or_not_seen_again_do_not_pass_for_still() -> None:
         check_still(pair, capture, ImagePair(moved_left, moved_right, 10.25), BOARD)
 
 
-def test_pictures_must_keep_their_size() -> None:
-    assert size_words((960, 600), (960, 600)) == ''
-    words = size_words((480, 300), (960, 600))
-    assert words.startswith('480x300 px, but the boards before have 960x600 px; ')
+def test_images_must_keep_their_size() -> None:
+    assert describe_size_change((960, 600), (960, 600)) == ''
+    assert describe_size_change((480, 300), (960, 600)) == (
+        'the images are 480x300 px, those of earlier boards 960x600 px; restore the camera'
+        ' settings, or reset and start again'
+    )

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of the calibration services: detect the rods, check the capture, describe the result."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from binocular_recon.calibration.detection.detect import Detection, detect_rods
+from binocular_recon.calibration.result import CalibrationResult
+from binocular_recon.calibration.screening import displacement_px
+from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.rods import RodBoard
+from binocular_recon.camera import StereoRig
+from binocular_recon.errors import CalibrationError
+from binocular_recon.nodes.calibration.newest_pair import ImagePair
+from binocular_recon.stereo.rectification import rectified_points
+
+# Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
+STILL_PX = 0.5
+
+
+def compile_kernels() -> None:
+    """Detect the rods in a drawing of some."""
+    marks_m = np.linspace(0.3, 1.8, 6)
+    feet = np.column_stack([0.6 * np.arange(5), np.zeros(5)])
+    board = RodBoard(feet, marks_m, 0.04, 0.005, 0.01, 0.005)
+    columns = 60 + 40 * np.arange(board.count)
+    image = np.full((600, columns[-1] + 60), 128, np.uint8)
+    edges = 550 - np.r_[0, 500 / marks_m[-1] * marks_m, 530].astype(int)
+    for column in columns:
+        for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
+            image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
+    detect_rods(image, board)
+
+
+def detect_pair(pair: ImagePair, board: RodBoard) -> tuple[Detection, Detection]:
+    """Detect the rods in the left and the right image."""
+    left, right = (
+        detect_rods(image[..., :3] if image.ndim == 3 else image, board)
+        for image in (pair.left, pair.right)
+    )
+    return left, right
+
+
+def check_still(
+    pair: ImagePair, capture: Capture, later: ImagePair | None, board: RodBoard
+) -> str:
+    """Compare the marks of a capture with those of a later pair, None if none arrived.
+
+    Returns
+    -------
+    remark : str
+        Empty if nothing has moved; otherwise why that is unknown.
+
+    Raises
+    ------
+    CalibrationError
+        If the marks have moved or are not found any more.
+
+    """
+    if later is None:
+        return '; no further pair arrived, so it is unknown whether rods and cameras stood still'
+    seconds = later.arrived_s - pair.arrived_s
+    left, right = detect_pair(later, board)
+    moved_px = displacement_px(capture, Capture('later', left.marks_px, right.marks_px))
+    if moved_px <= STILL_PX:
+        return ''
+    finding = (
+        f'the marks were not found again {seconds:.2f} s later'
+        if np.isnan(moved_px)
+        else f'the marks moved by {moved_px:.1f} px within {seconds:.2f} s'
+    )
+    raise CalibrationError(f'not captured: {finding}; wait until rods and cameras stand still')
+
+
+def describe_size_change(size: tuple[int, int], stored: tuple[int, int]) -> str:
+    """Say that images differ in size from those of earlier boards, '' if they do not."""
+    if size == stored:
+        return ''
+    return (
+        'the images are {}x{} px, those of earlier boards {}x{} px; restore the camera settings,'
+        ' or reset and start again'
+    ).format(*size, *stored)
+
+
+def describe_missing_marks(found: tuple[Detection, Detection]) -> str:
+    """Say which marks were not found in the left and the right image, '' if all were."""
+    messages = [
+        f'{side} image: {message}'
+        for side, detection in zip(('left', 'right'), found, strict=True)
+        for message in detection.messages
+    ]
+    return f'; {"; ".join(messages)}' if messages else ''
+
+
+def describe_row_error(rig: StereoRig | None, capture: Capture) -> str:
+    """Say how well the calibration in use rectifies the marks, '' if there is none."""
+    if rig is None:
+        return ''
+    rows = [
+        rectified_points(camera, pixels.reshape(-1, 2))[:, 1]
+        for camera, pixels in ((rig.left, capture.left_px), (rig.right, capture.right_px))
+    ]
+    return (
+        '; with the calibration in use, rows differ by'
+        f' {np.nanmean(np.abs(rows[0] - rows[1])):.2f} px'
+    )
+
+
+def describe_result(result: CalibrationResult) -> str:
+    """Return the figures of a calibration and the next advice in one sentence."""
+    calibration, sigma = result.calibration, result.sigma
+    depth_mm = 1e3 * result.depth_sigma_m(15.0)
+    left_out = '; '.join(f'{board.name} left out: {board.reason}' for board in result.rejected)
+    advice = f'; next: {result.advice[0]}' if result.advice else ''
+    return (
+        f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
+        f' baseline {1e3 * calibration.baseline_m:.1f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
+        f' depth sigma {depth_mm:.0f} mm at 15 m'
+        f'{"; " + left_out if left_out else ""}{advice}'
+    )

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The base of nodes that process frames: messages with matching stamps, one per input."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
+from binocular_recon.io.messages.images import stamp_ns
+from binocular_recon.nodes.runtime.base_node import BaseNode
+from binocular_recon.nodes.runtime.endpoints import Input, create_input
+from binocular_recon.nodes.runtime.options import InputOptions
+from binocular_recon.options import Options
+from binocular_recon.pairing import Synchronizer
+
+# What the diagnostics call complete sets of messages.
+_SETS = 'sets'
+
+
+class FrameNode(BaseNode):
+    """Base of nodes that process one frame after the other in a worker thread.
+
+    Inputs are received while somebody subscribes to an output. Messages with matching stamps form
+    a frame, led by the first input. A subclass makes its outputs in `process`, which gets the
+    newest frame; older ones that still wait are dropped.
+    """
+
+    FIXED: ClassVar[Sequence[type[Options]]] = (InputOptions,)
+    SUBJECT = 'frames'
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rig: tuple[Any, StereoRig] | None = None
+        self._processed = self._superseded = 0
+        self._worker = self.start_worker(self._process_frame)
+
+    def start(self, inputs: Sequence[Input] | None = None) -> None:
+        """Create publishers and subscriptions; ``inputs`` replaces `INPUTS`."""
+        options = self.options.of(InputOptions)
+        self._inputs = {one.topic: one for one in inputs or self.INPUTS}
+        self._optional = {
+            one.topic: self.resolve_topic_name(one.topic)
+            for one in self._inputs.values()
+            if one.optional
+        }
+        self._compressed = options.image_transport == 'compressed'
+        self._synchronizer = Synchronizer(
+            list(self._inputs), queue_size=options.queue_size, tolerance_ns=options.tolerance_ns
+        )
+        super().start()
+        # even if they are not needed yet: this declares the QoS parameters of the inputs
+        self._subscriptions_in_use = self._subscribe()
+        self.update_subscriptions()
+
+    def process(self, *messages: Any) -> None:
+        """Make the outputs from one message per input, None for a missing optional one."""
+        raise NotImplementedError
+
+    def needed(self) -> bool:
+        """Tell whether inputs are to be received now."""
+        return self.wanted(*self._outputs)
+
+    def rig(self, left_info: Any, right_info: Any) -> StereoRig:
+        """Return the rig of two CameraInfos; it is made again only when they change."""
+        key = calibration_content(left_info), calibration_content(right_info)
+        if self._rig is None or self._rig[0] != key:
+            self._rig = None
+            self._rig = key, rig_from_messages(left_info, right_info)
+            self.report_rig(self._rig[1])
+        return self._rig[1]
+
+    def report_rig(self, rig: StereoRig) -> None:
+        """Show the calibration in use in the diagnostics."""
+        self.health.state(
+            'calibration',
+            f'{rig.left.width}x{rig.left.height} px, f {rig.focal_px:.2f} px, baseline'
+            f' {rig.baseline_m:.4f} m, cx_left - cx_right {rig.disparity_offset_px:.2f} px',
+        )
+
+    def update_subscriptions(self) -> None:
+        """Receive the inputs while they are needed, and only then."""
+        needed = self.needed()
+        if needed and not self._subscriptions_in_use:
+            self._subscriptions_in_use = self._subscribe()
+        elif not needed:
+            for subscription in self._subscriptions_in_use:
+                self.destroy_subscription(subscription)
+            self._subscriptions_in_use = []
+
+    def condition(self) -> tuple[bytes, str]:
+        """Return level and summary of the last second, and log what prevents frames."""
+        processed, self._processed = self._processed, 0
+        superseded, self._superseded = self._superseded, 0
+        if not self._subscriptions_in_use:
+            return DiagnosticStatus.OK, f'idle: no subscribers on {", ".join(self._outputs)}'
+        ages_s = self.health.silent()
+        required = [topic for topic in self._inputs if topic not in self._optional]
+        silent = {topic: ages_s[topic] for topic in required if topic in ages_s}
+        level = DiagnosticStatus.ERROR
+        if len(silent) == len(required):
+            level = DiagnosticStatus.STALE
+            text = f'no messages on {", ".join(silent)}; start the cameras or check the remappings'
+        elif silent:
+            since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
+            text = f'no messages on {since}; check their source (node, camera, cable)'
+        elif _SETS in ages_s:
+            text = self.explain_missing_frames()
+        elif too_late := self._explain_lateness():
+            level, text = DiagnosticStatus.WARN, too_late
+        elif superseded:
+            level = DiagnosticStatus.WARN
+            text = f'cannot keep up: dropped {superseded} frames in the last second'
+        else:
+            return DiagnosticStatus.OK, f'{processed} frames in the last second'
+        self.health.log(level, text)
+        return level, text
+
+    def dropped(self) -> Counter[str]:
+        """Return the messages that found no partners."""
+        return self._synchronizer.dropped
+
+    def explain_missing_frames(self) -> str:
+        """Say why there are no complete frames although every required input has messages."""
+        silent = self.health.silent()
+        unused = [t for t in self._optional if t in silent and self._is_published(t)]
+        if unused:
+            names = ', '.join(unused)
+            return (
+                f'frames wait for {names}, which has a publisher but no messages; check that'
+                f' publisher or stop it: {names} is optional'
+            )
+        too_late = self._explain_lateness()
+        if too_late:
+            return too_late
+        missing = self._synchronizer.explain()
+        if missing is None:
+            return (
+                f'frames of {", ".join(self._inputs)} stay incomplete although their stamps match:'
+                ' messages are lost; set reliability to reliable on both sides or raise queue_size'
+            )
+        text, needed_s = missing
+        remedy = (
+            'raise approximate_sync_tolerance_seconds to'
+            if self.options.of(InputOptions).tolerance_ns
+            else 'trigger the cameras together or set approximate_sync with'
+            ' approximate_sync_tolerance_seconds of'
+        )
+        return f'{text}; {remedy} at least {needed_s:.6f}'
+
+    def _explain_lateness(self) -> str:
+        """Say which messages arrive after their partners were dropped, '' if none do."""
+        needed = self._synchronizer.too_late()
+        if not needed:
+            return ''
+        return (
+            f'messages on {", ".join(needed)} arrive too late: their partners had already been'
+            f' dropped; raise queue_size to at least {max(needed.values())}'
+        )
+
+    def _is_published(self, optional: str) -> bool:
+        return self.count_publishers(self._optional[optional]) > 0
+
+    def _subscribe(self) -> list[Any]:
+        self._synchronizer.clear()
+        self.health.expect([*self._inputs, _SETS])
+        return [
+            create_input(
+                self,
+                one,
+                functools.partial(self._receive, one.topic),
+                self.health,
+                compressed=self._compressed,
+            )
+            for one in self._inputs.values()
+        ]
+
+    def _receive(self, topic: str, message: Any) -> None:
+        self.health.received(topic)
+        for optional in self._optional:
+            self._synchronizer.expect(optional, self._is_published(optional))
+        for frame in self._synchronizer.add(topic, stamp_ns(message.header), message):
+            self.health.received(_SETS)
+            if self._worker.submit(frame):
+                self._superseded += 1
+                self.health.dropped('a newer set came before it was begun')
+
+    def _process_frame(self, messages: tuple[Any, ...]) -> None:
+        """Process a frame in the worker thread; an unusable one is counted and reported."""
+        begun_s = time.monotonic()
+        try:
+            self.process(*messages)
+        except BinocularReconError as error:
+            kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
+            self.health.dropped(kind)
+            self.health.error(str(error))
+        except MemoryError as error:
+            self.health.dropped('not enough memory')
+            self.health.error(f'{error}; reduce disparity_range or the size of the images')
+        else:
+            self._processed += 1
+            self.health.processed(time.monotonic() - begun_s)
