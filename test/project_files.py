@@ -8,6 +8,7 @@ from pathlib import Path
 
 from test.conftest import REPOSITORY
 
+PYTHONS = ['3.10', '3.11', '3.12', '3.13']
 # What setuptools adds to a source distribution, and what make and the tools add to a folder.
 ADDED = {'PKG-INFO', 'binocular_recon.egg-info'}
 MADE = {'build', 'dist', 'install', 'log', 'out', 'docs/_build', 'docs/api'}

@@ -17,7 +17,7 @@ from packaging.version import Version
 
 import binocular_recon
 from test.conftest import REPOSITORY
-from test.project_files import tracked
+from test.project_files import PYTHONS, tracked
 
 PACKAGE = REPOSITORY / 'binocular_recon'
 MANIFEST = ET.parse(REPOSITORY / 'package.xml').getroot()
@@ -50,7 +50,6 @@ MODULE_NAMES = {
     'yaml': 'python3-yaml',
 }
 SHARED = ['bags', 'config', 'launch', 'rviz']
-PYTHONS = ['3.10', '3.11', '3.12', '3.13']
 
 
 def exec_depends() -> dict[str, ET.Element]:
