@@ -61,7 +61,6 @@ def arguments() -> dict[str, Any]:
             'Environment :: Console',
             'Intended Audience :: Developers',
             'Intended Audience :: Science/Research',
-            'License :: OSI Approved :: Apache Software License',
             'Operating System :: POSIX :: Linux',
             'Programming Language :: Python :: 3 :: Only',
             'Programming Language :: Python :: 3.10',
