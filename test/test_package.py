@@ -129,6 +129,7 @@ def test_dependencies_of_the_tests_are_declared_alike() -> None:
     names = {r.name for r in required if r.marker is not None and r.marker.evaluate(extra)}
     assert names == set(TEST_ROSDEP.values())
     assert set((REPOSITORY / 'requirements' / 'test.in').read_text().split()) == names
+    assert all(names <= set(locked('test', python)) for python in PYTHONS)
     keys = {element.text or '' for element in MANIFEST.iter('test_depend')}
     assert {key for key in keys if key.startswith('python3-')} == set(TEST_ROSDEP)
 
