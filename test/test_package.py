@@ -49,7 +49,6 @@ MODULE_NAMES = {
     'rosbags': 'python3-rosbags-pip',
     'yaml': 'python3-yaml',
 }
-SHARED = ['bags', 'config', 'launch', 'rviz']
 
 
 def exec_depends() -> dict[str, ET.Element]:
