@@ -81,7 +81,9 @@ def arguments() -> dict[str, Any]:
         ],
         'python_requires': '>=3.10',
         'install_requires': [
-            'numba>=0.61,<0.69',  # docs/numba.md says why, and how to raise it
+            # Before 0.61 it mixes up the types of calls from several threads; docs/numba.md says
+            # why there is an upper bound and how to raise it.
+            'numba>=0.61,<0.69',
             'numpy>=1.26,<3',
             'opencv-python-headless>=4.6.0.66,<6',
             'PyYAML>=6',
