@@ -14,10 +14,10 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit units kernels jazzy jazzy-environment \
-        jazzy-system colcon evaluate benchmark docs images lock clean distclean
+        jazzy-system colcon evaluate benchmark docs images maintainers lock dist clean distclean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
 	@echo 'PYTHON=python3.12 selects the interpreter (CPython 3.10 to 3.13).'
 
 setup: ## .venv with ROS 2, this package and the developers' tools
@@ -103,14 +103,24 @@ docs: setup ## docs/nodes.md from what the nodes declare
 images: demo ## the README's pictures from what the demo made
 	@$(RUN) docs/make_images.py out/demo
 
+maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
+	$(RUN) tools/maintainers.py
+
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
 lock: ## resolve requirements/*.txt again with each of PYTHONS
 	@$(PYTHON) requirements/lock.py $(PYTHONS)
 
+# A build folder that is there already would lend its old files to the wheel.
+dist: setup ## source distribution and wheel in dist/
+	rm -rf build dist *.egg-info
+	$(RUN) -c 'from setuptools import build_meta; build_meta.build_sdist("dist")' >/dev/null
+	$(RUN) -m pip wheel -qq --no-deps --no-build-isolation --wheel-dir dist dist/*.tar.gz
+	rm -rf *.egg-info
+
 clean: ## what was built or computed; environments stay
 	rm -rf build dist install log out *.egg-info .mypy_cache .pytest_cache .ruff_cache
-	find binocular_recon test requirements -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean ## environments too
 	rm -rf .venv .venv-* .venv*.lock

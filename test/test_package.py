@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import ast
 import re
-import shutil
-import subprocess
+import runpy
 import sys
-import zipfile
 from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -18,8 +16,9 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 import binocular_recon
+from test.conftest import REPOSITORY
+from test.project_files import PYTHONS, tracked
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGE = REPOSITORY / 'binocular_recon'
 MANIFEST = ET.parse(REPOSITORY / 'package.xml').getroot()
 # the installed one, not what an earlier build may have left beside the sources
@@ -39,30 +38,39 @@ ROSDEP = {
     'python3-scipy': 'scipy',
     'python3-yaml': 'PyYAML',
 }
+TEST_ROSDEP = {
+    'python3-packaging': 'packaging',
+    'python3-pytest': 'pytest',
+    'python3-pytest-timeout': 'pytest-timeout',
+}
 MODULE_NAMES = {
     'cv2': 'python3-opencv',
     'llvmlite': 'python3-numba',  # the part of it that writes intrinsics
     'rosbags': 'python3-rosbags-pip',
     'yaml': 'python3-yaml',
 }
-SHARED = ['bags', 'config', 'launch', 'rviz']
-PYTHONS = ['3.10', '3.11', '3.12', '3.13']
-
-
-def tracked() -> list[Path]:
-    """Return the files under version control, or all that an unpacked release holds."""
-    if (REPOSITORY / '.git').exists():
-        command = ['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard']
-        names = subprocess.run(command, cwd=REPOSITORY, capture_output=True, check=True).stdout
-        paths = [REPOSITORY / name for name in names.decode().split('\0') if name]
-    else:
-        paths = [p for p in REPOSITORY.rglob('*') if '__pycache__' not in p.parts]
-    return [path for path in paths if path.is_file()]
 
 
 def exec_depends() -> dict[str, ET.Element]:
     """Return the run-time dependencies of package.xml by their key."""
     return {element.text or '': element for element in MANIFEST.iter('exec_depend')}
+
+
+def rosdep_key(module: str) -> str:
+    """Return the key of the package that a module is imported from."""
+    names = {*ROSDEP.values(), *TEST_ROSDEP.values()}
+    return MODULE_NAMES.get(module, f'python3-{module}' if module in names else module)
+
+
+def imports(path: Path) -> set[str]:
+    """Return the outermost package of everything that a module imports."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split('.')[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add((node.module or '').split('.')[0])
+    return names
 
 
 def test_versions_agree() -> None:
@@ -114,17 +122,43 @@ def test_setup_and_manifest_list_the_same() -> None:
     assert keys == set(ROSDEP)
 
 
+def test_dependencies_of_the_tests_are_declared_alike() -> None:
+    extra = {'extra': 'test'}
+    required = [r for r in map(Requirement, INSTALLED.requires or []) if r.marker is not None]
+    names = {r.name for r in required if r.marker is not None and r.marker.evaluate(extra)}
+    assert names == set(TEST_ROSDEP.values())
+    assert set((REPOSITORY / 'requirements' / 'test.in').read_text().split()) == names
+    assert all(names <= set(locked('test', python)) for python in PYTHONS)
+    keys = {element.text or '' for element in MANIFEST.iter('test_depend')}
+    assert {key for key in keys if key.startswith('python3-')} == set(TEST_ROSDEP)
+
+
+def test_tests_import_what_is_declared() -> None:
+    imported = {name for path in (REPOSITORY / 'test').rglob('*.py') for name in imports(path)}
+    imported -= {'binocular_recon', 'test', *sys.stdlib_module_names}
+    declared = {element.text for element in MANIFEST.iter('test_depend')} | set(exec_depends())
+    assert {rosdep_key(name) for name in imported} <= declared
+
+
 def test_dependencies_are_those_imported() -> None:
-    imported = set()
-    for path in [*PACKAGE.rglob('*.py'), *(REPOSITORY / 'launch').glob('*.py')]:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split('.')[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                imported.add((node.module or '').split('.')[0])
+    paths = [*PACKAGE.rglob('*.py'), *(REPOSITORY / 'launch').glob('*.py')]
+    imported = {name for path in paths for name in imports(path)}
     imported -= {'binocular_recon', *sys.stdlib_module_names}
-    keys = {MODULE_NAMES.get(n, f'python3-{n}' if n in ROSDEP.values() else n) for n in imported}
-    assert keys == set(exec_depends())
+    assert {rosdep_key(name) for name in imported} == set(exec_depends())
+
+
+def test_pythons_are_the_same_everywhere() -> None:
+    prefix = 'Programming Language :: Python :: 3.'
+    classifiers = INSTALLED.metadata.get_all('Classifier', [])
+    named = [name.rpartition(' ')[2] for name in classifiers if name.startswith(prefix)]
+    assert named == PYTHONS
+    assert INSTALLED.metadata['Requires-Python'] == f'>={PYTHONS[0]}'
+    (makefile,) = re.findall(
+        r'^PYTHONS \?= (.*)$', (REPOSITORY / 'Makefile').read_text(), re.MULTILINE
+    )
+    assert makefile.split() == [f'python{python}' for python in PYTHONS]
+    script = runpy.run_path(str(REPOSITORY / 'requirements' / 'install.py'))
+    assert [f'3.{script["OLDEST"]}', f'3.{script["NEWEST"]}'] == [PYTHONS[0], PYTHONS[-1]]
 
 
 def test_executables_are_the_nodes_and_the_command_line() -> None:
@@ -199,46 +233,17 @@ def test_oldest_lock_is_of_the_oldest_in_range(python: str) -> None:
         assert pins[name] == Version(lowest)
 
 
+@pytest.mark.parametrize('python', PYTHONS)
+def test_numba_is_bounded_by_the_newest_that_was_tried(python: str) -> None:
+    """Its private parts are used (docs/numba.md): the next minor version may lack them."""
+    (required,) = (r for r in REQUIRED if r.name == 'numba')
+    (below,) = (s.version for s in required.specifier if s.operator == '<')
+    newest = locked('runtime', python)['numba']
+    assert Version(below) == Version(f'{newest.major}.{newest.minor + 1}')
+
+
 def test_contrib_has_one_opencv() -> None:
     for python in PYTHONS:
         pins = locked('contrib', python)
         assert 'opencv-contrib-python-headless' in pins
         assert 'opencv-python-headless' not in pins
-
-
-def test_wheel_holds_the_whole_package(tmp_path: Path) -> None:
-    pytest.importorskip('pip')
-    if Version(metadata.version('setuptools')) < Version('70.1'):
-        pytest.skip('setuptools before 70.1 leaves the making of wheels to another package')
-    for name in ('binocular_recon', 'resource', *SHARED):
-        if (REPOSITORY / name).is_dir():
-            ignore = shutil.ignore_patterns('__pycache__')
-            shutil.copytree(REPOSITORY / name, tmp_path / 'source' / name, ignore=ignore)
-    for name in ('package.xml', 'setup.py', 'setup.cfg', 'LICENSE'):
-        shutil.copy(REPOSITORY / name, tmp_path / 'source')
-    command = [sys.executable, '-m', 'pip', 'wheel', '-qq', '--no-deps', '--no-build-isolation']
-    subprocess.run([*command, '-w', tmp_path, tmp_path / 'source'], check=True)
-
-    (wheel,) = tmp_path.glob('*.whl')
-    with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
-        archive.extractall(tmp_path / 'site')
-    source = tmp_path / 'source'
-    files = [path for path in (source / 'binocular_recon').rglob('*') if path.is_file()]
-    assert {str(path.relative_to(source)) for path in files} <= names
-    assert not [name for name in names if name.startswith('test')]
-    data = f'binocular_recon-{binocular_recon.__version__}.data/data/share'
-    assert f'{data}/ament_index/resource_index/packages/binocular_recon' in names
-    for path in tracked():
-        inside = path.relative_to(REPOSITORY)
-        if inside.parts[0] in {'package.xml', *SHARED}:
-            assert f'{data}/binocular_recon/{inside}' in names
-
-    done = subprocess.run(
-        [sys.executable, '-m', 'binocular_recon', '--help'],
-        cwd=tmp_path / 'site',
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert 'reconstruct' in done.stdout

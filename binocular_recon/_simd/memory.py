@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba.core import types
+from numba import types
 
 from binocular_recon._simd.vectors import (
     LANES,

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba.core import types
-from numba.core.config import DISABLE_JIT  # type: ignore[attr-defined]
+from numba import config, types
 from numba.extending import intrinsic, models, register_model
 
 LANES = 32
@@ -35,7 +34,7 @@ class _VectorModel(models.PrimitiveModel):
 
 def operation(plain: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
     """Replace an operation's code generator by ``plain`` where nothing is compiled."""
-    return lambda generator: plain if DISABLE_JIT else intrinsic(generator)
+    return lambda generator: plain if config.DISABLE_JIT else intrinsic(generator)  # type: ignore[attr-defined]
 
 
 def emit_splat(builder: Any, vector: Any, number: Any) -> Any:
