@@ -9,16 +9,22 @@ image allows, which costs some per cent of a match at full resolution.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import threading
 from typing import NamedTuple
 
 import numpy as np
 
+from binocular_recon.camera import StereoRig
 from binocular_recon.config import MatchConfig
+from binocular_recon.errors import ConfigError
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.matching.half_resolution import halve
 from binocular_recon.stereo.matching.matcher import match
 
+# What the options allow.
+FARTHEST_START, MOST_DISPARITIES = 2048, 4096
 # Images are halved until they are at most this wide.
 COARSE_WIDTH_PX = 480
 # Shares of the image's width that are searched, behind infinity and in front.
@@ -33,6 +39,10 @@ MARGIN = 0.2
 LEAST_MATCHED = 0.03
 # A range is too small if this share of the matches at low resolution lies outside.
 OUTSIDE_SHARE = 0.005
+# A live range is examined on each of the first frames and then once in a while; it shrinks if so
+# many examinations in a row asked for less than this share of it.
+FIRST_FRAMES, EXAMINE_EVERY_S = 3, 2.0
+SHRINK_AFTER, SHRINK_SHARE = 5, 0.7
 # Connected regions of fewer pixels are dropped at low resolution.
 _SPECKLES = 60
 
@@ -57,9 +67,51 @@ class SearchRange(NamedTuple):
         """The largest disparity searched, px."""
         return self.min_disparity + self.disparity_range - 1
 
+    @property
+    def limits_px(self) -> tuple[float, float]:
+        """Smallest and largest disparity searched, px."""
+        return float(self.min_disparity), float(self.last)
+
+    def depths_m(self, rig: StereoRig) -> tuple[float, float]:
+        """Return the nearest and the farthest depth that these disparities mean, m."""
+        near, far = (
+            rig.focal_px * rig.baseline_m / shift if shift > 0 else math.inf
+            for shift in (limit - rig.disparity_offset_px for limit in (self.last, self[0]))
+        )
+        return near, far
+
     def applied_to(self, config: MatchConfig) -> MatchConfig:
         """Return ``config`` with this range."""
         return dataclasses.replace(config, **self._asdict())
+
+
+def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
+    """Return the disparities of everything between two depths.
+
+    Parameters
+    ----------
+    near_m, far_m : float
+        Depths, m; ``far_m`` may be infinite.
+    rig : StereoRig
+        Rectified rig.
+
+    Raises
+    ------
+    ConfigError
+        If the depths are not in order, or need more disparities than can be searched.
+
+    """
+    if not 0 < near_m < far_m:
+        raise ConfigError(f'near must be above 0 and below far, got {near_m:g} m and {far_m:g} m')
+    reach = rig.focal_px * rig.baseline_m
+    first = math.floor(rig.disparity_offset_px + reach / far_m) - 1
+    last = math.ceil(rig.disparity_offset_px + reach / near_m) + 1
+    if last - first + 1 > MOST_DISPARITIES or abs(first) > FARTHEST_START:
+        raise ConfigError(
+            f'{near_m:g} to {far_m:g} m are disparities of {first} to {last} px with this rig, and'
+            f' at most {MOST_DISPARITIES} can be searched; raise near'
+        )
+    return SearchRange(first, last - first + 1)
 
 
 class Overview(NamedTuple):
@@ -124,8 +176,8 @@ def overview(
     first = -int(BEHIND * width) if infinity_px is None else math.floor(infinity_px / step) - 1
     last = max(first, 0) + int(IN_FRONT * width)
     coarse = MatchConfig(
-        min_disparity=max(first, -2048),
-        disparity_range=max(2, min(last - first + 1, 4096)),
+        min_disparity=max(first, -FARTHEST_START),
+        disparity_range=max(2, min(last - first + 1, MOST_DISPARITIES)),
         texture_threshold=config.texture_threshold,
         half_resolution=False,
         speckle_size=_SPECKLES,
@@ -145,10 +197,43 @@ def find_range(seen: Overview, width: int, infinity_px: float | None = None) -> 
         return _limited(math.floor(far), math.ceil(far + width / 2))
     low, high = seen.limits_px()
     margin = MARGIN * (high - low) + 2 * seen.step_px
-    low, high = low - margin, high + margin
-    if infinity_px is not None:
-        low = max(low, infinity_px - 1)
-    return _limited(math.floor(low), math.ceil(high))
+    # infinity is always in sight of somebody: beyond the last match, in the sky, through a door
+    low = min(low - margin, 0.0) if infinity_px is None else infinity_px - 1
+    return _limited(math.floor(low), math.ceil(high + margin))
+
+
+def choose_range(
+    left: FloatImage,
+    right: FloatImage,
+    config: MatchConfig,
+    infinity_px: float | None = None,
+    *,
+    check: bool = True,
+) -> tuple[SearchRange, str]:
+    """Return the range to search in a pair, and a warning if a given one is too small.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Rectified grey images; NaN = no data.
+    config : MatchConfig
+        The range, or ``disparity_range`` 0: it is found.
+    infinity_px : float, optional
+        As for `overview`.
+    check : bool
+        Whether to check a given range.
+
+    """
+    given = SearchRange(config.min_disparity, config.disparity_range)
+    if not (config.finds_range or check):
+        return given, ''
+    seen = overview(left, right, config, infinity_px)
+    if not config.finds_range:
+        return given, warn_of_range(seen, config, left.shape[1], infinity_px)
+    found = find_range(seen, left.shape[1], infinity_px)
+    if config.min_disparity:  # set: it stays
+        found = _limited(config.min_disparity, max(found.last, config.min_disparity + 15))
+    return found, ''
 
 
 def warn_of_range(
@@ -174,5 +259,89 @@ def warn_of_range(
 
 
 def _limited(low: int, high: int) -> SearchRange:
-    low = max(-2048, min(low, 2048))
-    return SearchRange(low, max(16, min(high - low + 1, 4096)))
+    low = max(-FARTHEST_START, min(low, FARTHEST_START))
+    return SearchRange(low, max(16, min(high - low + 1, MOST_DISPARITIES)))
+
+
+class Tracked(NamedTuple):
+    """The range to search in a frame, whether it is new, and a warning if a given one is bad."""
+
+    search: SearchRange
+    changed: bool
+    warning: str
+
+
+class RangeTracker:
+    """The search range of frame after frame: found in the first frames, examined again later.
+
+    It grows as soon as something lies outside, and shrinks only after several examinations in a
+    row have asked for much less: a car that passes must not change the range twice. Any thread may
+    call.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._key: object = None
+        self._search: SearchRange | None = None
+        self._warning = ''
+        self._examined = 0
+        self._next_s = -math.inf
+        self._smaller: list[SearchRange] = []
+
+    def update(
+        self,
+        left: FloatImage,
+        right: FloatImage,
+        config: MatchConfig,
+        infinity_px: float,
+        now_s: float,
+    ) -> Tracked:
+        """Return the range for a frame.
+
+        Parameters
+        ----------
+        left, right : (H, W) float32
+            Rectified grey images; NaN = no data.
+        config : MatchConfig
+            The range, or ``disparity_range`` 0.
+        infinity_px : float
+            Disparity of a point at infinity.
+        now_s : float
+            Time of any clock that runs on, s.
+
+        """
+        with self._lock:
+            key = config, infinity_px, left.shape
+            if key != self._key:
+                self._key, self._search, self._examined = key, None, 0
+                self._next_s, self._warning, self._smaller = -math.inf, '', []
+            before = self._search
+            if self._search is None or now_s >= self._next_s:
+                found, self._warning = choose_range(left, right, config, infinity_px)
+                self._search = self._merged(found)
+                self._examined += 1
+                if self._examined >= FIRST_FRAMES:
+                    self._next_s = now_s + EXAMINE_EVERY_S
+            return Tracked(self._search, self._search != before, self._warning)
+
+    def _merged(self, found: SearchRange) -> SearchRange:
+        now = self._search
+        if now is None:
+            return found
+        wider = _union(now, found)
+        if wider != now:
+            self._smaller = []
+            return wider
+        if found.disparity_range > SHRINK_SHARE * now.disparity_range:
+            self._smaller = []
+            return now
+        self._smaller.append(found)
+        if len(self._smaller) < SHRINK_AFTER:
+            return now
+        smaller, self._smaller = self._smaller, []
+        return functools.reduce(_union, smaller)
+
+
+def _union(one: SearchRange, other: SearchRange) -> SearchRange:
+    low, last = min(one.min_disparity, other.min_disparity), max(one.last, other.last)
+    return SearchRange(low, last - low + 1)

@@ -7,6 +7,13 @@ from enum import IntFlag
 
 from binocular_recon.stereo import _validity_kernels as bits
 
+# Shares of measured pixels below which a result is refused, and warned of.
+LEAST_MATCHED, FEW_MATCHED = 0.1, 0.3
+REMEDY = (
+    'check that left and right are not exchanged, that rows correspond (calibration), exposure,'
+    ' focus and the search range'
+)
+
 
 class Validity(IntFlag):
     """Bits of a validity image, (H, W) uint8, in the manner of CNES Pandora's validity mask.

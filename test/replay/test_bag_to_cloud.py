@@ -241,7 +241,7 @@ def test_sigma_of_other_scenes_is_calibrated(shared_data: Path, scene: str) -> N
     truth_px = read_pfm(folder / 'disparity.pfm')
     config = ChainConfig.preset('default', disparity_range=65)
     left, right = (read_image_file(folder / f'{side}.png') for side in ('left', 'right'))
-    filtered = estimate_disparity(left, right, config)[1]
+    filtered = estimate_disparity(left, right, config).filtered
     known = visible_from_truth(truth_px) & np.isfinite(truth_px)
     error_px = (filtered.disparity_px - truth_px)[known]
     assert 0.7 < _normalised_error_rms(error_px, filtered.sigma_px[known]) < 1.4

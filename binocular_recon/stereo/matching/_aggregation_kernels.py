@@ -28,13 +28,7 @@ from binocular_recon._simd import (
     splat,
     store,
 )
-from binocular_recon.stereo._validity_kernels import (
-    AMBIGUOUS,
-    AT_LIMIT,
-    CONFLICT,
-    LOW_TEXTURE,
-    MEASURED,
-)
+from binocular_recon.stereo import _validity_kernels as validity
 from binocular_recon.stereo.matching._cost_kernels import (
     WORST,
     CostSource,
@@ -46,9 +40,7 @@ EIGHTH = 3  # bits
 SENTINEL = np.uint8(255)  # above every sum that is told apart
 BLOCK = 2  # rows
 WARM_UP = 24
-# Least lead of the best sum over the second, per percent of the ratio asked for: where both are
-# nearly perfect, as on a periodic pattern, a ratio alone is decided by noise.
-LEAST_LEAD = 0.32
+LEAST_LEAD = 0.32  # of the best sum per percent of the ratio: noise decides between perfect ones
 BACKS = 8  # copies of the right picture's best sums: a store must have ended before the next load
 
 
@@ -257,7 +249,7 @@ def _decide_row(
         at, place = x * padded, chosen[x]
         there = width - 1 - x + place
         if not left_scored[x]:
-            decision.validity[y, x] = LOW_TEXTURE
+            decision.validity[y, x] = validity.LOW_TEXTURE
             continue
         agrees = tolerance < 0
         low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
@@ -265,17 +257,17 @@ def _decide_row(
             # the same right pixel, paired with a neighbour of the left one
             agrees |= total[at + place + j * (padded + 1)] == best[0, there]
         if not (agrees and right_scored[there]) or (tolerance >= 0 and costs[at + place] >= WORST):
-            decision.validity[y, x] = CONFLICT
+            decision.validity[y, x] = validity.CONFLICT
             continue
         if tolerance >= 0 and (place == 0 or place == disparities - 1):
-            decision.validity[y, x] = AT_LIMIT
+            decision.validity[y, x] = validity.AT_LIMIT
             continue
         if decision.uniqueness_ratio > 0 and not _is_unique(
             total, at, place, disparities, decision.uniqueness_ratio
         ):
-            decision.validity[y, x] = AMBIGUOUS
+            decision.validity[y, x] = validity.AMBIGUOUS
             continue
-        decision.validity[y, x] = MEASURED
+        decision.validity[y, x] = validity.MEASURED
         offset = _offset(costs, total, at + place) if 0 < place < disparities - 1 else 0.0
         if not decision.subpixel:
             offset = 0.0
@@ -289,8 +281,8 @@ def _is_unique(total: Array, at: int, place: int, disparities: int, ratio: float
     for k in range(disparities):
         if abs(k - place) > 1:
             second = min(second, np.int64(total[at + k]))
-    best = np.int64(total[at + place])
-    return bool(second * (100 - ratio) > best * 100 and second - best > LEAST_LEAD * ratio)
+    lead = second - np.int64(total[at + place])
+    return bool(lead * 100 > second * ratio and lead > LEAST_LEAD * ratio)
 
 
 @inline_kernel
