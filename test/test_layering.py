@@ -26,6 +26,7 @@ ROOMS = [
     {'stereo.matching'},
     {'stereo.filtering'},
     {
+        'stereo.range_tracker',
         'stereo.search_range',
         'stereo.triangulation',
         'stereo._triangulation_kernels',

@@ -141,7 +141,7 @@ class DepthBoundOptions(Options):
         super().__post_init__()
         if self.far and self.far <= self.near:
             raise ConfigError(
-                f'near must be below far, got {self.near:g} m and {self.far:g} m; far 0 is infinity'
+                f'near must be below far, got {self.near:g} m and {self.far:g} m (far 0: infinity)'
             )
 
 

@@ -25,7 +25,7 @@ from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 
 RIG = bag_tools.rig()
-ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png'}
+ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png', '_validity.png'}
 
 
 def reconstruction(disparity: float = 10.0) -> Reconstruction:
@@ -150,7 +150,8 @@ def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
     assert summary['left_out'] == [{'stamp_ns': 9, 'reason': 'too dark'}]
     assert (summary['finished'], summary['unpaired'], summary['preset']) == (False, 3, 'fast')
     assert results.sentence() == (
-        f'2 frames in {tmp_path}: density 99.0%, depth 4.00 to 4.00 m (median 4.00 m),'
+        f'2 frames in {tmp_path}: 99.0% of the pixels measured, 99.0% with a'
+        ' disparity; points from 4.00 to 4.00 m (median 4.00 m),'
         ' 1.00 s per frame'
     )
     np.testing.assert_array_equal(
