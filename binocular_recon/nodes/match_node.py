@@ -60,17 +60,17 @@ class MatchNode(FrameNode):
     ) -> None:
         """Publish the disparities of one pair."""
         rig = self.rig(left_info, right_info)
-        greys = []
+        greys, exposed = [], True
         for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
             grey = to_grey(read_image(message, f'{side} image').image)
             check_size(grey, camera.size, side)
-            self._warn_of_bad_exposure(grey, side)
+            exposed = self._warn_of_bad_exposure(grey, side) and exposed
             mark_empty(grey)
             greys.append(grey)
         left_grey, right_grey = greys
         config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
-        self._report_matches(matched)
+        self._report_matches(matched, warn=exposed)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)
@@ -109,14 +109,14 @@ class MatchNode(FrameNode):
             self.health.warning(found.warning)
         return found.search.applied_to(config)
 
-    def _report_matches(self, matched: Match) -> None:
+    def _report_matches(self, matched: Match, *, warn: bool) -> None:
         share = float(np.isfinite(matched.disparity_px).mean())
         self.health.state('matched', f'{share:.1%} of the pixels')
-        if share < FEW_MATCHED:
+        if share < FEW_MATCHED and warn:
             self.health.warning(f'only {share:.0%} of the pixels could be matched; {REMEDY}')
 
-    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> None:
-        """Warn if few pixels of an image can be matched, and say why."""
+    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
+        """Warn if few pixels can be matched, and say why; return whether all is well."""
         missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
         if missing > 0:
             text = (
@@ -127,8 +127,9 @@ class MatchNode(FrameNode):
         elif white > _SATURATED_SHARE:
             text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
         else:
-            return
+            return True
         self.health.warning(f'{side} image {text}')
+        return False
 
 
 def main() -> int:

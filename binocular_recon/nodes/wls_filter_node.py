@@ -13,7 +13,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage, to_bgr8, to_grey
+from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
@@ -88,10 +88,12 @@ class WlsFilterNode(FrameNode):
         image = read_image(left, 'left image').image
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
+        guide = to_grey(image)
+        mark_empty(guide)
         filtered = self._current_filter()(
             measured.disparity_px,
             _confidence(confidence, measured.disparity_px),
-            to_grey(image),
+            guide,
             limits_px=measured.limits_px,
         )
         measured_share = np.mean((filtered.validity & Validity.MEASURED) > 0)
