@@ -8,6 +8,8 @@ documentation its tables. Names shared with image_pipeline keep its meaning.
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +25,12 @@ class MatchConfig(Options):
         0, 'Smallest disparity searched', unit='px', minimum=-2048, maximum=2048
     )
     disparity_range: int = option(
-        128, 'Number of disparities searched', unit='px', minimum=2, maximum=4096
+        0,
+        'Number of disparities searched; 0: found from the images, and min_disparity with it'
+        ' unless that is set',
+        unit='px',
+        minimum=0,
+        maximum=4096,
     )
     correlation_window_size: int = option(
         5, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
@@ -62,7 +69,7 @@ class MatchConfig(Options):
         maximum=127.0,
     )
     uniqueness_ratio: float = option(
-        0.0,
+        10.0,
         "Percent by which the best score's 1 - NCC (semi-global: its sum over paths) must beat"
         ' the second best that is not its neighbour',
         unit='%',
@@ -91,6 +98,10 @@ class MatchConfig(Options):
     def __post_init__(self) -> None:
         """Check that a larger step costs at least as much as a small one."""
         super().__post_init__()
+        if self.disparity_range == 1:
+            raise ConfigError(
+                'disparity_range must be within 2..4096 px, or 0 to find it from the images, got 1'
+            )
         small, large = self.small_step_penalty, self.large_step_penalty
         if small > large:
             raise ConfigError(
@@ -98,8 +109,18 @@ class MatchConfig(Options):
             )
 
     @property
+    def finds_range(self) -> bool:
+        """Whether the range is to be found from the images."""
+        return self.disparity_range == 0
+
+    @property
     def limits_px(self) -> tuple[float, float]:
-        """Smallest and largest disparity searched, px."""
+        """Smallest and largest disparity searched, px; a ConfigError if yet to be found."""
+        if self.finds_range:
+            raise ConfigError(
+                'disparity_range is 0, to be found from the images; apply search_range.find_range'
+                ' first, or set it'
+            )
         return float(self.min_disparity), float(self.min_disparity + self.disparity_range - 1)
 
 
@@ -158,6 +179,10 @@ class FilterConfig(Options):
     )
 
 
+# A depth whose standard deviation is a third of it may be any; it is never a point.
+LARGEST_SIGMA_SHARE = 1 / 3
+
+
 @dataclass(frozen=True)
 class CloudConfig(Options):
     """Which points the cloud holds (eq. 16-18)."""
@@ -168,10 +193,36 @@ class CloudConfig(Options):
     max_depth: float = option(
         1e6, 'Farther points are left out', unit='m', minimum=0.0, maximum=1e6
     )
+    keep: str = option(
+        'all',
+        'Points of the cloud: measured ones only, or filled ones between them too',
+        choices=('measured', 'all'),
+    )
+    max_sigma: str = option(
+        '10%',
+        'Points with a larger standard deviation of depth are left out: metres, or with % a share'
+        ' of the depth; those of a third of the depth or more always are',
+    )
+
+    @property
+    def sigma_limit(self) -> tuple[float, float]:
+        """Largest standard deviation of a point's depth: metres, and as a share of its depth."""
+        text = self.max_sigma.strip()
+        value = float(text.removesuffix('%'))
+        if text.endswith('%'):
+            return math.inf, min(value / 100, LARGEST_SIGMA_SHARE)
+        return value, LARGEST_SIGMA_SHARE
 
     def __post_init__(self) -> None:
-        """Check that the range is not empty."""
+        """Check that the range is not empty and ``max_sigma`` a number above 0."""
         super().__post_init__()
+        if not re.fullmatch(r'\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*%?\s*', self.max_sigma) or (
+            min(self.sigma_limit) <= 0
+        ):
+            raise ConfigError(
+                f'max_sigma must be metres or a share of the depth, such as 0.05 or 10%, above 0,'
+                f' got {self.max_sigma!r}'
+            )
         if self.min_depth > self.max_depth:
             raise ConfigError(
                 f'min_depth must be at most max_depth, got {self.min_depth:g} m and'
@@ -226,6 +277,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'half_resolution': False,
         'texture_threshold': 0.0,
         'disp12_max_diff': -1.0,
+        'uniqueness_ratio': 0.0,
         'subpixel': False,
         'speckle_size': 0,
         'wls_lambda': 0.35,
@@ -236,7 +288,7 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_disparity_steps': 0.0,
     },
     # no volume, each pixel by itself: for high frame rates
-    'fast': {'semi_global': False, 'correlation_window_size': 7},
+    'fast': {'semi_global': False, 'correlation_window_size': 7, 'uniqueness_ratio': 2.0},
     'default': {},
     # several matches of each pair: where time matters less
     'accurate': {'consensus': True, 'wls_extrapolate': True},

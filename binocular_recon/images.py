@@ -17,6 +17,8 @@ ByteImage = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
 # Largest value of each accepted type: white.
+# Fewer black pixels in one piece at the border are a dark thing.
+LEAST_PADDING = 100
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
 
 
@@ -50,6 +52,34 @@ def to_grey(image: Image) -> FloatImage:
     if image.dtype.kind == 'f':
         scaled[~np.isfinite(scaled)] = np.nan
     return scaled
+
+
+def mark_empty(grey: FloatImage) -> None:
+    """Mark as no data, in place, what an image only pads: black borders, blank rows and columns.
+
+    Rectification and recorders leave black where they have nothing to show, and broken transfers
+    blank lines. Their edges would be matched like any other.
+
+    Parameters
+    ----------
+    grey : (H, W) float32
+        Grey levels, `to_grey`; becomes NaN where there is no data.
+
+    """
+    for lines in (grey, grey.T):
+        low, high = lines.min(axis=1), lines.max(axis=1)
+        blank = low == high
+        if blank.any() and not blank.all():
+            lines[blank] = np.nan
+    black = grey == 0
+    border = np.concatenate([black[0], black[-1], black[:, 0], black[:, -1]])
+    if border.any() and not black.all():
+        _, labels, _, _ = cv2.connectedComponentsWithStats(black.astype(np.uint8), connectivity=4)
+        edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        area = np.bincount(labels.ravel())
+        padding = np.unique(edge[edge > 0])
+        padding = padding[area[padding] >= LEAST_PADDING]
+        grey[np.isin(labels, padding)] = np.nan
 
 
 def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:

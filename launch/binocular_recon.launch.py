@@ -20,6 +20,7 @@ from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
+    DepthBoundOptions,
     InputOptions,
     PresetOptions,
     QueueOptions,
@@ -33,7 +34,7 @@ SIDES = ('left', 'right')
 # the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
-    'match_node': (PresetOptions, MatchConfig),
+    'match_node': (PresetOptions, MatchConfig, DepthBoundOptions),
     'wls_filter_node': (
         PresetOptions,
         QueueOptions,

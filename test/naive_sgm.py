@@ -79,13 +79,15 @@ def _along(
 
 def choose(
     total: npt.NDArray[np.int64],
+    costs: npt.NDArray[np.int64],
     scored: list[npt.NDArray[np.bool_]],
     first: int,
     max_difference: float,
 ) -> Array:
     """Return each left pixel's best disparity if the right one's agrees; NaN = none.
 
-    A negative ``max_difference`` lets any agree.
+    Nor is there one at the limits of the range, or where the pixel's own NCC is not above 0. A
+    negative ``max_difference`` lets any agree, and all else.
     """
     height, width, count = total.shape
     best = total.argmin(axis=2)
@@ -102,6 +104,8 @@ def choose(
             }
             winners = [k for k, cost in candidates.items() if cost == min(candidates.values())]
             difference = min(abs(k - best[y, x]) for k in winners)
-            if difference <= max_difference or max_difference < 0:
+            positive = costs[y, x, best[y, x]] < 252
+            inside = 0 < best[y, x] < count - 1
+            if (difference <= max_difference and positive and inside) or max_difference < 0:
                 result[y, x] = first + best[y, x]
     return result

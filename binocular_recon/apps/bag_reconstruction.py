@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.apps.progress import ProgressBar
+from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BagError, FileError, ImageError
 from binocular_recon.io.bags.reader import Bag
@@ -23,6 +25,8 @@ from binocular_recon.io.bags.stereo_topics import (
 )
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.stereo.pipeline import Chain
+from binocular_recon.stereo.search_range import SearchRange, range_of_depths
+from binocular_recon.stereo.validity import FEW_MATCHED, LEAST_MATCHED, REMEDY
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,8 @@ class BagInput:
         Reconstruct every Nth pair.
     max_frames : int, optional
         Stop after this many frames.
+    near_m, far_m : float, optional
+        Depths that are searched, instead of a range in pixels.
 
     """
 
@@ -61,6 +67,8 @@ class BagInput:
     tolerance_ns: int = 0
     every: int = 1
     max_frames: int | None = None
+    near_m: float | None = None
+    far_m: float = math.inf
 
 
 def reconstruct_bag(
@@ -70,6 +78,8 @@ def reconstruct_bag(
     config: ChainConfig,
     *,
     formats: Collection[str] = (),
+    least_matched: float = LEAST_MATCHED,
+    report: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Reconstruct the pairs of a bag; the files of each frame are written as it is finished.
 
@@ -84,6 +94,10 @@ def reconstruct_bag(
         Options of the chain.
     formats : collection of str
         Keys of `FRAME_FORMATS` to write besides those that are always written.
+    least_matched : float
+        With a smaller share of measured pixels the result is refused, though it is written.
+    report : callable
+        Takes a line for the user at the start, and warnings.
 
     Returns
     -------
@@ -105,7 +119,8 @@ def reconstruct_bag(
         facts = {'bag': str(source.bag), **topics._asdict()}
         results = ResultFolder(output, facts, formats=formats)
         try:
-            _reconstruct(stereo, source, results, config, rectify=not topics.rectified)
+            rectify = not topics.rectified
+            _reconstruct(stereo, source, results, config, report, rectify=rectify)
         except BaseException as error:
             with suppress(FileError):  # the disk may be full
                 results.write_summary(preset, config, finished=False)
@@ -116,10 +131,12 @@ def reconstruct_bag(
         results.write_summary(
             preset, config, finished=True, unpaired=stereo.unpaired, damage=bag.damage
         )
-        _raise_problems(bag, results)
+        _raise_problems(bag, results, least_matched)
     sentence = results.sentence()
     if stereo.unpaired:
         sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
+    if results.matched < FEW_MATCHED:
+        report(f'warning: only {results.matched:.0%} of the pixels could be matched; {REMEDY}')
     return sentence
 
 
@@ -141,15 +158,18 @@ def _reconstruct(
     source: BagInput,
     results: ResultFolder,
     config: ChainConfig,
+    report: Callable[[str], None],
     *,
     rectify: bool,
 ) -> None:
-    chain, rig = None, None
+    chain, rig, warned = None, None, False
     count = -(-stereo.expected // source.every)
     with ProgressBar(min(count, source.max_frames or count), 'frames') as progress:
         for pair in itertools.islice(stereo, 0, None, source.every):
             if chain is None or pair.rig is not rig:
                 chain, rig = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha), pair.rig
+                if source.near_m is not None:
+                    chain.search(range_of_depths(source.near_m, source.far_m, chain.rig))
             start = time.perf_counter()
             try:
                 reconstruction = chain(*pair.images())
@@ -157,13 +177,27 @@ def _reconstruct(
                 results.leave_out(pair.stamp_ns, error)
             else:
                 seconds = time.perf_counter() - start
+                if not results.frames:
+                    report(_searched(reconstruction.search, chain.rig))
+                if reconstruction.warning and not warned:
+                    warned = True
+                    report(f'warning: {reconstruction.warning}')
                 results.add(pair.stamp_ns, pair.rig, reconstruction, seconds)
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
 
 
-def _raise_problems(bag: Bag, results: ResultFolder) -> None:
+def _searched(search: SearchRange, rig: StereoRig) -> str:
+    near, far = search.depths_m(rig)
+    reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
+    return (
+        f'baseline {rig.baseline_m:.3f} m, focal length {rig.focal_px:.0f} px: disparities'
+        f' {search.min_disparity} to {search.last} px are depths of {near:.2f} m to {reach}'
+    )
+
+
+def _raise_problems(bag: Bag, results: ResultFolder, least_matched: float) -> None:
     """Raise a BagError if a part of the recording could not be reconstructed."""
     problems = list(bag.damage)
     if results.left_out:
@@ -171,6 +205,11 @@ def _raise_problems(bag: Bag, results: ResultFolder) -> None:
         problems.append(
             f'{len(results.left_out)} of {total} pairs were left out, the first because'
             f' {results.left_out[0]["reason"]}'
+        )
+    if results.frames and results.matched < least_matched:
+        problems.append(
+            f'only {results.matched:.1%} of the pixels could be matched, at least'
+            f' {least_matched:.0%} are expected; {REMEDY}, or accept it (--least-matched 0)'
         )
     if problems:
         kept = f'{len(results.frames)} frames are in {results.folder}'

@@ -18,7 +18,7 @@ import numpy as np
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.drawing.clouds import draw_cloud
-from binocular_recon.drawing.colormap import heat_map
+from binocular_recon.drawing.colormap import heat_map_with_scale
 from binocular_recon.images import ByteImage, FloatImage, to_bgr8
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
@@ -47,6 +47,11 @@ class FrameResult:
     def disparity_px(self) -> FloatImage:
         """Filtered x_left - x_right, (H, W) float32; NaN = none."""
         return self.reconstruction.filtered.disparity_px
+
+    @property
+    def validity(self) -> ByteImage:
+        """Bits of `Validity`, (H, W) uint8."""
+        return self.reconstruction.filtered.validity
 
     @property
     def cloud(self) -> Cloud:
@@ -87,11 +92,11 @@ class FrameFormat(NamedTuple):
 
 
 def _write_heat_map(path: Path, disparity_px: FloatImage) -> None:
-    write_image_file(path, heat_map(disparity_px))
+    write_image_file(path, heat_map_with_scale(disparity_px, 'px'))
 
 
-def _write_cloud(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
-    write_ply(path, cloud.points_xyz, cloud.sigma_z_m, bgr)
+def _write_cloud(path: Path, cloud: Cloud, validity: ByteImage, bgr: ByteImage) -> None:
+    write_ply(path, cloud.points_xyz, cloud.sigma_z_m, validity, bgr)
 
 
 def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
@@ -103,6 +108,7 @@ def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
 FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
-    'cloud': FrameFormat('.ply', ('cloud', 'left_bgr'), _write_cloud),
+    'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
+    'cloud': FrameFormat('.ply', ('cloud', 'validity', 'left_bgr'), _write_cloud),
     'drawing': FrameFormat('_cloud.png', ('cloud', 'left_bgr'), _write_drawing, on_request=True),
 }

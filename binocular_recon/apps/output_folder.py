@@ -22,6 +22,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.validity import Validity
 
 
 class ResultFolder:
@@ -72,6 +73,12 @@ class ResultFolder:
             spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
         ]
         self._rig: StereoRig | None = None
+        self._searched_m = (0.0, math.inf)
+
+    @property
+    def matched(self) -> float:
+        """Mean share of the pixels that were measured."""
+        return statistics.fmean(frame['matched'] for frame in self.frames)
 
     def add(
         self, stamp_ns: int, rig: StereoRig, reconstruction: Reconstruction, seconds: float
@@ -87,12 +94,20 @@ class ResultFolder:
             'index': index,
             'stamp_ns': stamp_ns,
             'density': float(np.isfinite(result.disparity_px).mean()),
+            'matched': float(np.mean((result.validity & Validity.MEASURED) > 0)),
+            'disparity_px': {
+                'min': reconstruction.search.min_disparity,
+                'max': reconstruction.search.last,
+            },
             'depth_m': _depth_range(reconstruction.cloud.depth_m),
             'seconds': round(seconds, 4),
             'points': int(np.count_nonzero(points)),
         }
+        if reconstruction.warning:
+            frame['warning'] = reconstruction.warning
         if self._rig is None:
             self._rig = rig
+            self._searched_m = reconstruction.search.depths_m(rig)
         elif rig is not self._rig:
             frame['calibration'] = _calibration(rig)
         self.frames.append(frame)
@@ -123,6 +138,13 @@ class ResultFolder:
             'calibration': _calibration(self._rig) if self._rig else None,
             'versions': versions,
         }
+        if self._rig is not None:
+            summary['matched'] = self.matched
+            summary['baseline_m'] = self._rig.baseline_m
+            summary['focal_px'] = self._rig.focal_px
+            summary['depth_searched_m'] = [
+                depth if math.isfinite(depth) else None for depth in self._searched_m
+            ]
         write_json(path, summary)
         if finished and self.frames:
             self._drop_earlier_frames()
@@ -149,8 +171,9 @@ class ResultFolder:
         seconds = statistics.median(frame['seconds'] for frame in self.frames)
         frames = f'{len(self.frames)} frames' if len(self.frames) > 1 else '1 frame'
         return (
-            f'{frames} in {self.folder}: density {density:.1%}, depth {low:.2f} to {high:.2f} m'
-            f' (median {median:.2f} m), {seconds:.2f} s per frame'
+            f'{frames} in {self.folder}: {self.matched:.1%} of the pixels measured, {density:.1%}'
+            f' with a disparity; points from {low:.2f} to {high:.2f} m (median {median:.2f} m),'
+            f' {seconds:.2f} s per frame'
         )
 
 

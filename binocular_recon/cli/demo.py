@@ -7,18 +7,14 @@ import argparse
 import json
 from pathlib import Path
 
-from binocular_recon.cli.options import add_chain_options, add_output_option, chain_config
+from binocular_recon.cli.options import add_chain_options, add_output_option, chain_config, note
 from binocular_recon.errors import FileError
-
-# The nearest point of the scene has 63 px.
-DISPARITY_RANGE_PX = 80
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``demo``."""
     add_output_option(parser, 'out/demo')
     add_chain_options(parser)
-    parser.set_defaults(disparity_range=DISPARITY_RANGE_PX)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -36,10 +32,13 @@ def run(args: argparse.Namespace) -> None:
     source = BagInput(bag=bags / 'motorcycle')
     config = chain_config(args)
     print('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
-    print(reconstruct_bag(source, args.output, args.preset, config, formats=['drawing']))
+    print(
+        reconstruct_bag(source, args.output, args.preset, config, formats=['drawing'], report=note)
+    )
     print(_accuracy(args.output, bags / 'motorcycle_truth' / 'disparity.png'))
     for name, content in {
         '000000.ply': 'point cloud with colour and sigma_z, for CloudCompare, MeshLab or Open3D',
+        '000000_validity.png': 'which pixels are measured, and why the others are not',
         '000000_cloud.png': 'left image, and the cloud from an oblique view',
         '000000_disparity.png': 'disparity as a heat map; the .pfm file holds the numbers',
         'summary.json': 'depth range, accuracy, options, calibration and versions',

@@ -7,7 +7,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from binocular_recon.cli.options import add_chain_options, chain_config
+from binocular_recon.cli.options import add_chain_options, chain_config, note
 from binocular_recon.config import ChainConfig, CloudConfig
 from binocular_recon.errors import ConfigError
 
@@ -19,9 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--max-disparity',
         type=int,
-        required=True,
         metavar='N',
-        help='largest disparity x_left - x_right to search, px',
+        help='largest disparity x_left - x_right to search, px (by default found from the images)',
     )
     parser.add_argument(
         '--output',
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> None:
 
     import numpy as np
 
-    from binocular_recon.drawing.colormap import heat_map
+    from binocular_recon.drawing.colormap import heat_map_with_scale
     from binocular_recon.io.files import make_folder
     from binocular_recon.io.image_files import read_image_file, write_image_file
     from binocular_recon.io.pfm import write_pfm
@@ -61,20 +60,32 @@ def run(args: argparse.Namespace) -> None:
     for path in filter(None, (args.output, args.heat_map)):
         make_folder(path.parent)
     start = time.perf_counter()
-    _, filtered = estimate_disparity(left, right, config)
+    found = estimate_disparity(left, right, config)
+    filtered = found.filtered
     seconds = time.perf_counter() - start
     disparity_px = filtered.disparity_px
     write_pfm(args.output, disparity_px)
     if args.heat_map:
-        write_image_file(args.heat_map, heat_map(disparity_px))
+        write_image_file(args.heat_map, heat_map_with_scale(disparity_px, 'px'))
+    write_image_file(_beside(args.output, '_validity.png'), filtered.validity)
+    if found.warning:
+        note(f'warning: {found.warning}')
     low, median, high = np.nanquantile(disparity_px, [0, 0.5, 1])
     print(
-        f'{args.output}: density {np.isfinite(disparity_px).mean():.1%}, disparity {low:.1f} to'
-        f' {high:.1f} px (median {median:.1f} px), {seconds:.2f} s'
+        f'{args.output}: {np.isfinite(found.matched.disparity_px).mean():.1%} of the pixels'
+        f' measured, {np.isfinite(disparity_px).mean():.1%} with a disparity; {low:.1f} to'
+        f' {high:.1f} px (median {median:.1f} px) of {found.search.min_disparity} to'
+        f' {found.search.last} px searched, {seconds:.2f} s'
     )
 
 
+def _beside(path: Path, ending: str) -> Path:
+    return path.with_name(path.stem + ending)
+
+
 def _config(args: argparse.Namespace) -> ChainConfig:
+    if args.max_disparity is None:
+        return chain_config(args)
     least = chain_config(args).match.min_disparity
     if args.max_disparity <= least:
         raise ConfigError(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ from typing import Any
 from binocular_recon.config import PRESETS, ChainConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import OptionValue, check_option
+
+# Options whose 0 has a name: found from the images.
+FOUND = ('min_disparity', 'disparity_range')
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
@@ -112,6 +116,11 @@ def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
     return {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
 
 
+def note(text: str) -> None:
+    """Tell the user something that is not the result."""
+    print(text, file=sys.stderr)
+
+
 def names(text: str) -> list[str]:
     """Convert an argument that lists names, separated by commas."""
     return [name.strip() for name in text.split(',') if name.strip()]
@@ -162,7 +171,8 @@ def _converter(spec: dataclasses.Field[Any]) -> Callable[[str], OptionValue]:
 
     def convert(text: str) -> OptionValue:
         try:
-            return check_option(spec, kind(text))
+            found = kind is int and text == 'auto' and spec.name in FOUND
+            return check_option(spec, 0 if found else kind(text))
         except ConfigError as error:
             raise argparse.ArgumentTypeError(str(error)) from None
         except ValueError:
@@ -175,7 +185,7 @@ def _metavar(spec: dataclasses.Field[Any]) -> str:
     choices = spec.metadata['choices']
     if choices:
         return '{' + ','.join(choices) + '}'
-    return 'INTEGER' if isinstance(spec.default, int) else 'NUMBER'
+    return {int: 'INTEGER', str: 'TEXT'}.get(type(spec.default), 'NUMBER')
 
 
 def _help(spec: dataclasses.Field[Any]) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from binocular_recon.cli.options import (
@@ -11,6 +12,7 @@ from binocular_recon.cli.options import (
     add_chain_options,
     add_output_option,
     chain_config,
+    note,
     positive,
 )
 from binocular_recon.errors import ConfigError
@@ -34,6 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--pictures',
         action='store_true',
         help='also draw each cloud beside the left image: NNNNNN_cloud.png',
+    )
+    parser.add_argument(
+        '--near',
+        type=positive(float),
+        metavar='M',
+        help='search from this depth on, metres, instead of a range in pixels',
+    )
+    parser.add_argument(
+        '--far', type=positive(float), metavar='M', help='with --near: up to this depth (infinity)'
+    )
+    parser.add_argument(
+        '--least-matched',
+        type=float,
+        default=10.0,
+        metavar='PERCENT',
+        help='exit with status 1 if a smaller share of the pixels is measured (%(default)g)',
     )
     _add_input_options(parser)
     add_chain_options(parser)
@@ -104,15 +122,33 @@ def run(args: argparse.Namespace) -> None:
         tolerance_ns=round(args.approximate_sync_tolerance_seconds * 1e9),
         every=args.every,
         max_frames=args.max_frames,
+        near_m=args.near,
+        far_m=math.inf if args.far is None else args.far,
     )
     _check_input_options(args)
     formats = ['drawing'] if args.pictures else []
     config = chain_config(args)
-    print(reconstruct_bag(source, args.output, args.preset, config, formats=formats))
+    print(
+        reconstruct_bag(
+            source,
+            args.output,
+            args.preset,
+            config,
+            formats=formats,
+            least_matched=args.least_matched / 100,
+            report=note,
+        )
+    )
 
 
 def _check_input_options(args: argparse.Namespace) -> None:
     """Raise a ConfigError if an option would have no effect together with the others."""
+    if args.far is not None and args.near is None:
+        raise ConfigError('--far can only be used with --near; give this too')
+    if args.near is not None and ('disparity_range' in args or 'min_disparity' in args):
+        raise ConfigError(
+            '--near and --far replace --min-disparity and --disparity-range; omit one pair'
+        )
     if args.left_image is None:
         for flag, value in (
             ('--left-info and --right-info', args.left_info),

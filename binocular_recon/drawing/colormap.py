@@ -13,6 +13,8 @@ import numpy.typing as npt
 _CLIPPED_PERCENT = 1.0
 # The ends of the colour scale beyond these are too dark to be told from none.
 _FIRST_LEVEL, _LAST_LEVEL = 20, 240
+# Values written beside a colour bar.
+_TICKS = 5
 
 
 def heat_map(
@@ -44,6 +46,42 @@ def heat_map(
     picture: Any = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
     picture[~valid] = 0
     return picture  # type: ignore[no-any-return]
+
+
+def heat_map_with_scale(disparity_px: npt.NDArray[np.float32], unit: str) -> Any:
+    """Return a heat map with its colour bar and the values at the bar's ends to the right.
+
+    Parameters
+    ----------
+    disparity_px : (H, W) float32
+        Values; those that are not finite mean none.
+    unit : str
+        Their unit.
+
+    Returns
+    -------
+    image : (H, W + bar, 3) uint8
+        BGR.
+
+    """
+    low, high = _own_limits(disparity_px[np.isfinite(disparity_px)])
+    height = len(disparity_px)
+    heat = heat_map(disparity_px, (low, high))
+    scale = max(0.35, height / 1200)
+    texts = [f'{value:.1f} {unit}' for value in np.linspace(high, low, _TICKS)]
+    sizes = [cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0] for text in texts]
+    margin, bar = round(12 * scale), max(6, round(30 * scale))
+    width = bar + 3 * margin + max(size[0] for size in sizes)
+    panel = np.full((height, width, 3), 255, np.uint8)
+    levels = np.linspace(high, low, height, dtype=np.float32)[:, None].repeat(bar, axis=1)
+    panel[:, margin : margin + bar] = heat_map(levels, (low, high))
+    for text, place, size in zip(texts, np.linspace(0, 1, _TICKS), sizes, strict=True):
+        y = round(size[1] + 2 + place * (height - size[1] - 5))
+        origin = (2 * margin + bar, y)
+        cv2.putText(
+            panel, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 1, cv2.LINE_AA
+        )
+    return np.hstack([heat, panel])
 
 
 def _own_limits(values: npt.NDArray[np.float32]) -> tuple[float, float]:

@@ -18,7 +18,9 @@ VERTEX = np.dtype(
         ('red', 'u1'),
         ('green', 'u1'),
         ('blue', 'u1'),
-        ('sigma_z', '<f4'),
+        # CloudCompare takes only such names for scalar fields by itself
+        ('scalar_sigma_z', '<f4'),
+        ('scalar_validity', '<f4'),
     ]
 )
 _PLY_TYPE = {'f': 'float', 'u': 'uchar'}
@@ -28,6 +30,7 @@ def write_ply(
     path: Path,
     points_xyz: npt.NDArray[np.float32],
     sigma_z_m: npt.NDArray[np.float32],
+    validity: npt.NDArray[np.uint8],
     bgr: npt.NDArray[np.uint8],
 ) -> int:
     """Write the valid points of a cloud.
@@ -40,6 +43,8 @@ def write_ply(
         Points in the left rectified optical frame, m; NaN = none.
     sigma_z_m : (H, W) float32
         One standard deviation of the depth, m.
+    validity : (H, W) uint8
+        Bits of `Validity`.
     bgr : (H, W, 3) uint8
         Colour of the points.
 
@@ -59,7 +64,8 @@ def write_ply(
     vertices = np.empty(len(points), VERTEX)
     vertices['x'], vertices['y'], vertices['z'] = points.T
     vertices['blue'], vertices['green'], vertices['red'] = bgr[valid].T
-    vertices['sigma_z'] = sigma_z_m[valid]
+    vertices['scalar_sigma_z'] = sigma_z_m[valid]
+    vertices['scalar_validity'] = validity[valid]
     with complete_file(path) as file:
         file.write(_header(len(vertices)))
         file.write(vertices.data)
@@ -72,7 +78,8 @@ def _header(count: int) -> bytes:
         'ply',
         'format binary_little_endian 1.0',
         'comment left rectified optical frame: x right, y down, z forward, metres',
-        'comment sigma_z: one standard deviation of z, metres',
+        'comment scalar_sigma_z: one standard deviation of z, metres',
+        'comment scalar_validity: 1 measured, 2 filled between measured pixels',
         f'element vertex {count}',
         *properties,
         'end_header\n',

@@ -3,20 +3,27 @@
 
 from __future__ import annotations
 
+import math
+import time
+
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 from stereo_msgs.msg import DisparityImage
 
+from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
-from binocular_recon.images import FloatImage, to_grey
+from binocular_recon.images import FloatImage, mark_empty, to_grey
 from binocular_recon.io.messages.disparities import fill_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
-from binocular_recon.nodes.runtime.options import PresetOptions
+from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
-from binocular_recon.stereo.matching.matcher import disparity_step_px, match
+from binocular_recon.stereo.matching.matcher import Match, disparity_step_px, match
+from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
+from binocular_recon.stereo.search_range import range_of_depths
+from binocular_recon.stereo.validity import FEW_MATCHED, REMEDY
 
 # Share of white pixels above which the node warns of the exposure.
 _SATURATED_SHARE = 0.25
@@ -33,10 +40,11 @@ class MatchNode(FrameNode):
         Input('right/camera_info', CameraInfo),
     )
     OUTPUTS = (Output('confidence', Image), Output('disparity', DisparityImage))
-    LIVE = (PresetOptions, MatchConfig)
+    LIVE = (PresetOptions, MatchConfig, DepthBoundOptions)
 
     def __init__(self) -> None:
         super().__init__()
+        self._range = RangeTracker()
         self.prepare()
         self.start()
 
@@ -51,15 +59,18 @@ class MatchNode(FrameNode):
         self, left: Image, right: Image, left_info: CameraInfo, right_info: CameraInfo
     ) -> None:
         """Publish the disparities of one pair."""
-        rig, config = self.rig(left_info, right_info), self.options.of(MatchConfig)
-        greys = []
+        rig = self.rig(left_info, right_info)
+        greys, exposed = [], True
         for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
             grey = to_grey(read_image(message, f'{side} image').image)
             check_size(grey, camera.size, side)
-            self._warn_of_bad_exposure(grey, side)
+            exposed = self._warn_of_bad_exposure(grey, side) and exposed
+            mark_empty(grey)
             greys.append(grey)
         left_grey, right_grey = greys
+        config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
+        self._report_matches(matched, warn=exposed)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)
@@ -76,8 +87,36 @@ class MatchNode(FrameNode):
             )
             self.publish('disparity', disparity)
 
-    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> None:
-        """Warn if few pixels of an image can be matched, and say why."""
+    def _with_range(
+        self, left_grey: FloatImage, right_grey: FloatImage, rig: StereoRig
+    ) -> MatchConfig:
+        """Return the options with the range to search in this frame."""
+        config, bounds = self.options.of(MatchConfig), self.options.of(DepthBoundOptions)
+        if bounds.near > 0:
+            config = range_of_depths(bounds.near, bounds.far or math.inf, rig).applied_to(config)
+        found = self._range.update(
+            left_grey, right_grey, config, rig.disparity_offset_px, time.monotonic()
+        )
+        near, far = found.search.depths_m(rig)
+        text = (
+            f'{found.search.min_disparity} to {found.search.last} px, depths of {near:.2f} m to'
+            f' {far:.1f} m'
+        )
+        self.health.state('search range', text)
+        if found.changed:
+            self.get_logger().info(f'search range: {text}')
+        if found.warning:
+            self.health.warning(found.warning)
+        return found.search.applied_to(config)
+
+    def _report_matches(self, matched: Match, *, warn: bool) -> None:
+        share = float(np.isfinite(matched.disparity_px).mean())
+        self.health.state('matched', f'{share:.1%} of the pixels')
+        if share < FEW_MATCHED and warn:
+            self.health.warning(f'only {share:.0%} of the pixels could be matched; {REMEDY}')
+
+    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
+        """Warn if few pixels can be matched, and say why; return whether all is well."""
         missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
         if missing > 0:
             text = (
@@ -88,8 +127,9 @@ class MatchNode(FrameNode):
         elif white > _SATURATED_SHARE:
             text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
         else:
-            return
+            return True
         self.health.warning(f'{side} image {text}')
+        return False
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage, to_bgr8, to_grey
+from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
@@ -30,6 +30,7 @@ from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
+from binocular_recon.stereo.validity import Validity
 
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
 
@@ -51,6 +52,7 @@ class WlsFilterNode(FrameNode):
         Output('depth', Image),
         Output('depth/camera_info', CameraInfo),
         Output('disparity_color', Image),
+        Output('validity', Image),
     )
     LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions)
     FIXED = (LateInputOptions,)
@@ -86,19 +88,25 @@ class WlsFilterNode(FrameNode):
         image = read_image(left, 'left image').image
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
+        guide = to_grey(image)
+        mark_empty(guide)
         filtered = self._current_filter()(
             measured.disparity_px,
             _confidence(confidence, measured.disparity_px),
-            to_grey(image),
+            guide,
             limits_px=measured.limits_px,
         )
+        measured_share = np.mean((filtered.validity & Validity.MEASURED) > 0)
+        self.health.state('measured', f'{measured_share:.1%} of the pixels')
         self.health.state('iterations', str(filtered.iterations))
         self.health.state('estimated error', f'{filtered.error_estimate_px:.4f} px')
         self._publish_disparity(filtered, measured, disparity, rig, left)
         if self.wanted(*_CLOUD_OUTPUTS):
             config = self.options.of(CloudConfig)
-            cloud = triangulate(filtered.disparity_px, filtered.sigma_px, rig, config)
-            self._publish_cloud(cloud, image, rig, left)
+            cloud = triangulate(
+                filtered.disparity_px, filtered.sigma_px, filtered.validity, rig, config
+            )
+            self._publish_cloud(cloud, filtered, image, rig, left)
 
     def _current_filter(self) -> DisparityFilter:
         config = self.options.of(FilterConfig)
@@ -131,7 +139,14 @@ class WlsFilterNode(FrameNode):
             fill_image(colours, heat, 'bgr8', left.header)
             self.publish('disparity_color', colours)
 
-    def _publish_cloud(self, cloud: Cloud, image: ImageArray, rig: StereoRig, left: Image) -> None:
+        if self.wanted('validity'):
+            bits = Image()
+            fill_image(bits, filtered.validity, 'mono8', left.header)
+            self.publish('validity', bits)
+
+    def _publish_cloud(
+        self, cloud: Cloud, filtered: Filtered, image: ImageArray, rig: StereoRig, left: Image
+    ) -> None:
         if self.wanted('depth', 'depth/camera_info'):
             info, depth = CameraInfo(), Image()
             fill_camera_info(info, rig.left, left.header)
@@ -147,6 +162,7 @@ class WlsFilterNode(FrameNode):
                 left.header,
                 PointField,
                 colour=to_bgr8(image) if options.use_color else None,
+                validity=filtered.validity if options.validity else None,
                 padding=not options.avoid_point_cloud_padding,
             )
             self.publish('points2', points)

@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
-from binocular_recon.images import Image, to_grey
+from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching.matcher import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
+from binocular_recon.stereo.search_range import SearchRange, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
+
+# A given search range is checked on the first frame and then on every tenth.
+CHECK_EVERY = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +30,13 @@ class Reconstruction:
     matched : Match
         Disparity and confidence of each pixel that could be matched.
     filtered : Filtered
-        Dense disparity with its standard deviation.
+        Dense disparity with its standard deviation and validity.
     cloud : Cloud
         Metric points in the left rectified frame.
+    search : SearchRange
+        The disparities that were searched.
+    warning : str
+        What is wrong with a given search range, and the range to set; else empty.
 
     """
 
@@ -36,6 +45,8 @@ class Reconstruction:
     matched: Match
     filtered: Filtered
     cloud: Cloud
+    search: SearchRange
+    warning: str
 
 
 class Chain:
@@ -64,6 +75,7 @@ class Chain:
     ) -> None:
         self.config = config
         self._filter = DisparityFilter(config.filter)
+        self._count = itertools.count()
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
 
@@ -82,11 +94,30 @@ class Chain:
 
         """
         left, right = self._rectify(left, right)
-        matched, filtered = estimate_disparity(left, right, self.config, self._filter)
-        cloud = triangulate(  # eq. 16-18
-            filtered.disparity_px, filtered.sigma_px, self.rig, self.config.cloud
+        found = estimate_disparity(
+            left,
+            right,
+            self.config,
+            self._filter,
+            infinity_px=self.rig.disparity_offset_px,
+            check_range=next(self._count) % CHECK_EVERY == 0,
         )
-        return Reconstruction(left, right, matched, filtered, cloud)
+        filtered = found.filtered
+        cloud = triangulate(  # eq. 16-18
+            filtered.disparity_px,
+            filtered.sigma_px,
+            filtered.validity,
+            self.rig,
+            self.config.cloud,
+        )
+        return Reconstruction(
+            left, right, found.matched, filtered, cloud, found.search, found.warning
+        )
+
+    def search(self, disparities: SearchRange) -> None:
+        """Search these disparities from now on, whatever the options said."""
+        match_config = disparities.applied_to(self.config.match)
+        self.config = replace(self.config, match=match_config)
 
     def _rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         if self._rectifier:
@@ -96,26 +127,52 @@ class Chain:
         return left, right
 
 
+@dataclass(frozen=True, eq=False)
+class DisparityEstimate:
+    """What matching and filtering make of a rectified pair.
+
+    Attributes
+    ----------
+    matched : Match
+        Disparity and confidence of each pixel that could be matched.
+    filtered : Filtered
+        Dense disparity with its standard deviation and validity.
+    search : SearchRange
+        The disparities that were searched.
+    warning : str
+        What is wrong with a given search range, and the range to set; else empty.
+
+    """
+
+    matched: Match
+    filtered: Filtered
+    search: SearchRange
+    warning: str
+
+
 def estimate_disparity(
-    left: Image, right: Image, config: ChainConfig, wls: DisparityFilter | None = None
-) -> tuple[Match, Filtered]:
+    left: Image,
+    right: Image,
+    config: ChainConfig,
+    wls: DisparityFilter | None = None,
+    *,
+    infinity_px: float | None = None,
+    check_range: bool = True,
+) -> DisparityEstimate:
     """Match a rectified pair and complete its disparity.
 
     Parameters
     ----------
     left, right : (H, W) or (H, W, C), uint8, uint16 or float32
-        Rectified pictures of equal size; colour as BGR.
+        Rectified images of equal size; colour as BGR.
     config : ChainConfig
         Options of matching and filter.
     wls : DisparityFilter, optional
         The filter, if frame follows frame; its options win.
-
-    Returns
-    -------
-    matched : Match
-        Disparity and confidence of each pixel that could be matched.
-    filtered : Filtered
-        Dense disparity with its standard deviation.
+    infinity_px : float, optional
+        Disparity of a point at infinity, where the rig is known.
+    check_range : bool
+        Whether to look if a given search range is large enough.
 
     Raises
     ------
@@ -124,9 +181,18 @@ def estimate_disparity(
 
     """
     left_grey, right_grey = to_grey(left), to_grey(right)
-    matched = match(left_grey, right_grey, config.match)  # eq. 10
+    mark_empty(left_grey)
+    mark_empty(right_grey)
+    search, warning = choose_range(
+        left_grey, right_grey, config.match, infinity_px, check=check_range
+    )
+    matched = match(left_grey, right_grey, search.applied_to(config.match))  # eq. 10
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
-        matched.disparity_px, matched.confidence, left_grey, limits_px=config.match.limits_px
+        matched.disparity_px,
+        matched.confidence,
+        left_grey,
+        limits_px=search.limits_px,
+        reasons=matched.validity,
     )
-    return matched, filtered
+    return DisparityEstimate(matched, filtered, search, warning)

@@ -11,8 +11,9 @@ from binocular_recon._jit import over_strips
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import CloudConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage
+from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo._triangulation_kernels import triangulate_rows
+from binocular_recon.stereo.validity import Validity
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,11 @@ class Cloud:
 
 
 def triangulate(
-    disparity_px: FloatImage, sigma_px: FloatImage, rig: StereoRig, config: CloudConfig
+    disparity_px: FloatImage,
+    sigma_px: FloatImage,
+    validity: ByteImage,
+    rig: StereoRig,
+    config: CloudConfig,
 ) -> Cloud:
     """Triangulate a disparity map.
 
@@ -48,16 +53,18 @@ def triangulate(
         Raw disparity x_left - x_right; NaN = none.
     sigma_px : (H, W) float32
         One standard deviation of the disparity.
+    validity : (H, W) uint8
+        `Validity` of the disparity: extrapolated pixels are no points.
     rig : StereoRig
         Rectified rig.
     config : CloudConfig
-        Depth range.
+        Which points are kept.
 
     Returns
     -------
     Cloud
-        Points; none where there is no disparity, at or behind infinity, or out of the depth
-        range.
+        Points; none where there is no disparity, at or behind infinity, out of the depth range,
+        or where the standard deviation exceeds ``config.max_sigma`` or a third of the depth.
 
     Raises
     ------
@@ -77,6 +84,7 @@ def triangulate(
             f'disparity is {disparity_px.shape} and its sigma {sigma_px.shape} (rows, columns),'
             f' the rig has {size}; use the calibration of these pictures'
         )
+    kept = Validity.MEASURED | (Validity.FILLED if config.keep == 'all' else 0)
     points_xyz = np.empty((*size, 3), np.float32)
     sigma_z_m = np.empty(size, np.float32)
     over_strips(
@@ -84,10 +92,13 @@ def triangulate(
         size[0],
         np.ascontiguousarray(disparity_px, np.float32),
         np.ascontiguousarray(sigma_px, np.float32),
+        np.ascontiguousarray(validity, np.uint8),
+        int(kept),
         rig.left.P,
         rig.focal_px * rig.baseline_m,
         rig.disparity_offset_px,
         (config.min_depth, config.max_depth),
+        config.sigma_limit,
         points_xyz,
         sigma_z_m,
     )

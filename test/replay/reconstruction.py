@@ -32,7 +32,7 @@ def frames_of(output: Path) -> int:
     names = {
         f'{i:06d}{ending}'
         for i in range(count)
-        for ending in ('.ply', '_disparity.pfm', '_disparity.png')
+        for ending in ('.ply', '_disparity.pfm', '_disparity.png', '_validity.png')
     }
     assert {path.name for path in output.iterdir()} == names | {'summary.json'}
     assert [frame['index'] for frame in summary['frames']] == list(range(count))

@@ -27,9 +27,10 @@ from binocular_recon.io.disparity_png import read_disparity_png
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.stereo.pipeline import estimate_disparity
+from binocular_recon.stereo.validity import Validity
 
 BAGS = Path(__file__).parents[2] / 'bags'
-VERTEX = np.dtype([('xyz', '<f4', 3), ('rgb', 'u1', 3), ('sigma_z', '<f4')])
+VERTEX = np.dtype([('xyz', '<f4', 3), ('rgb', 'u1', 3), ('sigma_z', '<f4'), ('validity', '<f4')])
 
 
 # A wall that slants from 5 to 9 m, seen by a rig with distortion, a turn between the cameras and
@@ -44,6 +45,13 @@ def read_ply(path: Path) -> Any:
     vertices = np.frombuffer(body, VERTEX)
     assert f'element vertex {len(vertices)}\n'.encode() in header
     return vertices
+
+
+def pixels_of(vertices: Any, output: Path) -> tuple[Any, Any]:
+    """Return row and column of each vertex, by projecting it."""
+    P = np.array(json.loads((output / 'summary.json').read_text())['calibration']['left']['P'])
+    u, v, w = P[:, :3] @ vertices['xyz'].astype(float).T
+    return np.rint(v / w).astype(int), np.rint(u / w).astype(int)
 
 
 def raw_rig() -> StereoRig:
@@ -148,9 +156,15 @@ def test_summary_says_what_was_done(wall: tuple[Path, Path]) -> None:
     assert summary['finished'] is True
     assert {'binocular_recon', 'python', 'numpy', 'opencv', 'rosbags'} <= set(summary['versions'])
     names = {path.name for path in output.iterdir()}
-    endings = ('.ply', '_disparity.pfm', '_disparity.png', '_cloud.png')
+    endings = ('.ply', '_disparity.pfm', '_disparity.png', '_validity.png', '_cloud.png')
     assert names == {'summary.json'} | {f'00000{i}{ending}' for i in (0, 1) for ending in endings}
-    assert read_image_file(output / '000000_disparity.png').shape == (HEIGHT, WIDTH, 3)
+    heat = read_image_file(output / '000000_disparity.png')
+    assert heat.shape[0] == HEIGHT and heat.shape[1] > WIDTH  # with a colour bar
+    assert summary['baseline_m'] == pytest.approx(BASELINE_M)
+    assert summary['focal_px'] == pytest.approx(FOCAL_PX)
+    # 48 disparities from 0 on: f B / (d - o)
+    searched = [FOCAL_PX * BASELINE_M / (47 - OFFSET_PX), FOCAL_PX * BASELINE_M / -OFFSET_PX]
+    assert summary['depth_searched_m'] == pytest.approx(searched)
 
 
 def test_a_calibration_folder_replaces_that_of_the_bag(
@@ -208,12 +222,42 @@ def test_demo_cloud_is_metric(demo: Path) -> None:
     truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
     truth_m = 999.421 * 0.193001 / (truth_px + 32.778)
     vertices = read_ply(demo / '000000.ply')
-    assert len(vertices) == truth_px.size
-    z = vertices['xyz'][:, 2].reshape(truth_px.shape)
-    error_mm = 1000 * np.abs(z - truth_m)[np.isfinite(truth_m)]
-    assert np.median(error_mm) < 15
+    place = pixels_of(vertices, demo)
+    assert len(vertices) > 0.85 * truth_px.size
+    assert len(set(zip(*place, strict=True))) == len(vertices)
+    z = vertices['xyz'][:, 2]
+    error_mm = 1000 * np.abs(z - truth_m[place])
+    assert np.nanmedian(error_mm) < 15
     left = read_image_file(demo / '000000_cloud.png')[:, : truth_px.shape[1]]
-    np.testing.assert_array_equal(vertices['rgb'].reshape(left.shape), left[..., ::-1])
+    np.testing.assert_array_equal(vertices['rgb'], left[place][:, ::-1])
+
+
+def test_demo_says_what_is_measured(demo: Path) -> None:
+    vertices = read_ply(demo / '000000.ply')
+    summary = json.loads((demo / 'summary.json').read_text())
+    validity = read_image_file(demo / '000000_validity.png')
+    np.testing.assert_array_equal(vertices['validity'], validity[pixels_of(vertices, demo)])
+    measured = (validity & Validity.MEASURED) > 0
+    assert summary['matched'] == summary['frames'][0]['matched'] == pytest.approx(measured.mean())
+    assert 0.8 < summary['matched'] < 0.9
+    # one of the three, and a reason exactly where it is not measured
+    assert set(np.unique(validity & 7)) == {1, 2, 4}
+    np.testing.assert_array_equal(validity >= 8, ~measured)
+    # no point is extrapolated or as uncertain as a tenth of its depth
+    assert not (vertices['validity'].astype(int) & Validity.EXTRAPOLATED).any()
+    assert (vertices['sigma_z'] <= 0.1 * vertices['xyz'][:, 2]).all()
+    # few points are off by more than three standard deviations
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    truth_m = (999.421 * 0.193001 / (truth_px + 32.778))[pixels_of(vertices, demo)]
+    off = np.abs(vertices['xyz'][:, 2] - truth_m) > 3 * vertices['sigma_z']
+    assert off[np.isfinite(truth_m)].mean() < 0.065
+
+
+def test_the_demo_finds_its_range(demo: Path) -> None:
+    frame = json.loads((demo / 'summary.json').read_text())['frames'][0]
+    truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
+    assert frame['disparity_px']['min'] == -34  # just behind infinity, at -32.8 px
+    assert np.nanmax(truth_px) < frame['disparity_px']['max'] < 1.4 * np.nanmax(truth_px)
 
 
 def _normalised_error_rms(error_px: FloatImage, sigma_px: FloatImage) -> float:
@@ -226,11 +270,10 @@ def test_sigma_z_of_the_demo_is_calibrated(demo: Path) -> None:
     truth_px = read_disparity_png(BAGS / 'motorcycle_truth' / 'disparity.png')
     visible = read_image_file(BAGS / 'motorcycle_truth' / 'visible.png') > 0
     vertices = read_ply(demo / '000000.ply')
-    z = vertices['xyz'][:, 2].reshape(truth_px.shape)
-    sigma_z = vertices['sigma_z'].reshape(truth_px.shape)
-    sigma_px = 999.421 * 0.193001 * sigma_z / z**2
-    error_px = read_pfm(demo / '000000_disparity.pfm') - truth_px
-    known = visible & np.isfinite(truth_px)
+    place = pixels_of(vertices, demo)
+    sigma_px = 999.421 * 0.193001 * vertices['sigma_z'] / vertices['xyz'][:, 2] ** 2
+    error_px = (read_pfm(demo / '000000_disparity.pfm') - truth_px)[place]
+    known = (visible & np.isfinite(truth_px))[place]
     assert 0.7 < _normalised_error_rms(error_px[known], sigma_px[known]) < 1.4
     assert np.quantile(sigma_px, 0.9) > 2 * np.quantile(sigma_px, 0.1)  # no constant
 
@@ -241,7 +284,7 @@ def test_sigma_of_other_scenes_is_calibrated(shared_data: Path, scene: str) -> N
     truth_px = read_pfm(folder / 'disparity.pfm')
     config = ChainConfig.preset('default', disparity_range=65)
     left, right = (read_image_file(folder / f'{side}.png') for side in ('left', 'right'))
-    filtered = estimate_disparity(left, right, config)[1]
+    filtered = estimate_disparity(left, right, config).filtered
     known = visible_from_truth(truth_px) & np.isfinite(truth_px)
     error_px = (filtered.disparity_px - truth_px)[known]
     assert 0.7 < _normalised_error_rms(error_px, filtered.sigma_px[known]) < 1.4

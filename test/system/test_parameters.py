@@ -186,7 +186,7 @@ def test_quality_of_service_is_that_of_the_sensors_unless_overridden(graph: Grap
 @pytest.mark.parametrize(
     ('executable', 'parameters', 'reason'),
     [
-        ('match_node', {'disparity_range': 0}, 'disparity_range must be within 2..4096 px, got 0'),
+        ('match_node', {'disparity_range': 1}, 'disparity_range must be within 2..4096 px, or 0'),
         ('rectify_node', {'calibration': '/nowhere'}, '/nowhere/left.yaml cannot be read'),
         (
             'match_node',

@@ -75,7 +75,7 @@ def preset_method(preset: str, **overrides: OptionValue) -> Method:
         wls = DisparityFilter(config.filter)
 
         def run() -> MethodResult:
-            _, filtered = estimate_disparity(left, right, config, wls)
+            filtered = estimate_disparity(left, right, config, wls, check_range=False).filtered
             return MethodResult(filtered.disparity_px, filtered.sigma_px)
 
         return run

@@ -24,6 +24,7 @@ from binocular_recon.stereo.matching.matcher import Match, match
 from binocular_recon.stereo.pipeline import Chain
 from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.triangulation import triangulate
+from binocular_recon.stereo.validity import Validity
 
 Contestants = dict[str, Callable[[], object]]
 
@@ -206,11 +207,12 @@ def triangulating(bench: Bench) -> Contestants:
     """From a dense disparity map to points; ours with the standard deviation of each depth."""
     disparity_px = bench.pair.disparity_px
     sigma_px = np.full_like(disparity_px, 0.1)
+    validity = np.full(disparity_px.shape, Validity.MEASURED, np.uint8)
     Q = _reprojection(bench.rig)
     config = bench.config(bench.presets[0]).cloud
     return {
         'cv2.reprojectImageTo3D': lambda: cv2.reprojectImageTo3D(disparity_px, Q),
-        'triangulate': lambda: triangulate(disparity_px, sigma_px, bench.rig, config),
+        'triangulate': lambda: triangulate(disparity_px, sigma_px, validity, bench.rig, config),
     }
 
 

@@ -116,6 +116,33 @@ class CloudMessageOptions(Options):
     avoid_point_cloud_padding: bool = option(
         False, 'Leave no unused bytes between the fields of a point'
     )
+    validity: bool = option(
+        False, 'Add a field validity: 1 measured, 2 filled between measured pixels'
+    )
+
+
+@dataclass(frozen=True)
+class DepthBoundOptions(Options):
+    """Depths to search instead of a range in pixels."""
+
+    near: float = option(
+        0.0,
+        'Search from this depth on instead of min_disparity and disparity_range; 0: off',
+        unit='m',
+        minimum=0.0,
+        maximum=1e6,
+    )
+    far: float = option(
+        0.0, 'With near: search up to this depth; 0: infinity', unit='m', minimum=0.0, maximum=1e6
+    )
+
+    def __post_init__(self) -> None:
+        """Check that the depths are in order."""
+        super().__post_init__()
+        if self.far and self.far <= self.near:
+            raise ConfigError(
+                f'near must be below far, got {self.near:g} m and {self.far:g} m (far 0: infinity)'
+            )
 
 
 @dataclass(frozen=True)

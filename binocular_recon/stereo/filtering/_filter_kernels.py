@@ -21,25 +21,19 @@ class SigmaTerms(NamedTuple):
     ----------
     measured, filtered : disparity, NaN = none in the first.
     confidence : of matches, above 0.
-    distance : from the nearest match, px.
     unit, least : variance of a match whose confidence is 1/2, and of every pixel.
     rounding : least variance of the scatter.
-    unmatched : variance of a pixel without a match.
-    spread_share, distance_share : its standard deviation for each px that its hole's ends differ
-        by, and for each px of distance.
+    holes : variance of pixels without a match.
 
     """
 
     measured: Array
     filtered: Array
     confidence: Array
-    distance: Array
     unit: float
     least: float
     rounding: float
-    unmatched: float
-    spread_share: float
-    distance_share: float
+    holes: Array
 
 
 @kernel
@@ -121,25 +115,19 @@ def _spread_along_row(padded: Array, out: Array) -> None:
 def _add_variances(
     evidence: SigmaTerms, y: int, squares: Array, counts: Array, out: Array
 ) -> None:
-    measured, level, distance = evidence.measured[y], evidence.confidence[y], evidence.distance[y]
+    measured, level, hole = evidence.measured[y], evidence.confidence[y], evidence.holes[y]
     one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
-    rounding, unmatched = np.float32(evidence.rounding), np.float32(evidence.unmatched)
-    per_spread = np.float32(evidence.spread_share**2)
-    per_distance = np.float32(evidence.distance_share**2)
+    rounding = np.float32(evidence.rounding)
     for x in range(len(out)):
         matched = unit * (one / min(level[x], one) - one)
-        variance = least + (unmatched if np.isnan(measured[x]) else matched)
+        variance = least + (hole[x] if np.isnan(measured[x]) else matched)
         variance += max(squares[x] / max(counts[x], one), rounding)
-        variance += per_spread * out[x] * out[x] + per_distance * distance[x] * distance[x]
         out[x] = np.sqrt(variance)
 
 
 @kernel
 def standard_deviation(evidence: SigmaTerms, sigma: Array, start: int, stop: int) -> None:
-    """Write the root of a constant, the match's variance, the data's scatter and the hole's.
-
-    ``sigma`` comes with what `spread_of_gaps` writes.
-    """
+    """Write the root of a constant, the match's or the hole's variance and the data's scatter."""
     measured, filtered = evidence.measured, evidence.filtered
     height, width = measured.shape
     columns = np.zeros((2, width + 2 * REACH), np.float32)

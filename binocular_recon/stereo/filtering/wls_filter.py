@@ -7,22 +7,18 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage
+from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.holes import spread_of_gaps
-from binocular_recon.stereo.holes.completion import (
-    COMPLETED_CONFIDENCE,
-    copy_nearest_rows,
-)
+from binocular_recon.stereo.holes.uncertainty import assess_holes
+from binocular_recon.stereo.validity import Validity
 
 # Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
 LIMIT_MARGIN_PX = 2.0**-10
@@ -30,10 +26,8 @@ LIMIT_MARGIN_PX = 2.0**-10
 LEAST_SIGMA_PX = 0.05
 # Variance of rounding to whole pixels.
 WHOLE_PIXEL_VARIANCE = 1 / 12
-# A pixel without a match: what it may be off by, as a share of the difference between the two
-# ends of its hole, and for each pixel of distance from the nearest match.
-HOLE_SPREAD_SHARE = 0.25
-HOLE_DISTANCE_SHARE = 0.03
+# Bits that say why a pixel is not measured.
+_REASONS = ~np.uint8(Validity.MEASURED | Validity.FILLED | Validity.EXTRAPOLATED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +40,8 @@ class Filtered:
         Raw disparity of every pixel, strictly inside the limits.
     sigma_px : (H, W) float32
         One standard deviation of it.
+    validity : (H, W) uint8
+        `Validity`: measured, filled or extrapolated, and why not measured.
     iterations : int
         Iterations of the solver.
     error_estimate_px : float
@@ -55,6 +51,7 @@ class Filtered:
 
     disparity_px: FloatImage
     sigma_px: FloatImage
+    validity: ByteImage
     iterations: int
     error_estimate_px: float
 
@@ -84,6 +81,7 @@ class DisparityFilter:
         guide: FloatImage,
         *,
         limits_px: tuple[float, float],
+        reasons: ByteImage | None = None,
         initial: FloatImage | None = None,
     ) -> Filtered:
         """Filter one frame; see `filter_disparity`."""
@@ -96,13 +94,16 @@ class DisparityFilter:
         if guess is not None and not np.isfinite(guess).all():
             guess = None
         solution = system.solve(equations.data, self.config.wls_tolerance_px, guess)
-        sigma = _sigma(measured, confidence, solution.values)
         low, high = limits_px
+        holes, validity = assess_holes(measured, solution.values)
+        if reasons is not None:
+            validity |= np.where(validity == Validity.MEASURED, 0, reasons & _REASONS)
+        sigma = _sigma(measured, confidence, solution.values, holes)
         margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
         filtered = np.clip(solution.values, np.float32(low + margin), np.float32(high - margin))
         self._spare.append(system)
         self._last = filtered if self.config.wls_video else None
-        return Filtered(filtered, sigma, solution.iterations, solution.error_estimate)
+        return Filtered(filtered, sigma, validity, solution.iterations, solution.error_estimate)
 
     def _system(self, rows: int, columns: int) -> System:
         """Return memory that no other thread uses."""
@@ -124,6 +125,7 @@ def filter_disparity(
     config: FilterConfig,
     *,
     limits_px: tuple[float, float],
+    reasons: ByteImage | None = None,
     initial: FloatImage | None = None,
 ) -> Filtered:
     """Denoise a disparity map and fill its holes, preserving the guide's edges.
@@ -140,6 +142,8 @@ def filter_disparity(
         Weights and tolerance.
     limits_px : (float, float)
         Smallest and largest disparity searched.
+    reasons : (H, W) uint8, optional
+        `Match.validity`: why pixels have no disparity; passed on in the result.
     initial : (H, W) float32, optional
         A guess, such as the last frame's result: the solver takes its first step towards it, as
         far as that is an improvement. The result is within the tolerance of the exact solution
@@ -165,12 +169,13 @@ def filter_disparity(
 
     The variance of a pixel is that of its match, plus the scatter of the data around the solution
     nearby, at least 1/12 px^2 if all data are whole pixels: where the solution follows rounded
-    data their scatter does not show it. Without a match it grows with the difference between the
-    two ends of the hole and with the distance from the nearest match.
+    data their scatter does not show it. Without a match see `holes.assess_holes`.
 
     """
     wls = DisparityFilter(config)
-    return wls(disparity_px, confidence, guide, limits_px=limits_px, initial=initial)
+    return wls(
+        disparity_px, confidence, guide, limits_px=limits_px, reasons=reasons, initial=initial
+    )
 
 
 def _measured(
@@ -188,25 +193,21 @@ def _measured(
     return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
 
 
-def _sigma(measured: FloatImage, confidence: FloatImage, filtered: FloatImage) -> FloatImage:
+def _sigma(
+    measured: FloatImage, confidence: FloatImage, filtered: FloatImage, holes: FloatImage
+) -> FloatImage:
     """Return the standard deviation of every pixel."""
     sigma = np.empty_like(measured)
-    over_strips(spread_of_gaps, len(measured), measured, sigma)
-    hole = np.isnan(measured)
-    copy_nearest_rows(sigma, empty=np.asarray(hole.all(axis=1)))
-    evidence = kernels.SigmaTerms(
+    terms = kernels.SigmaTerms(
         measured,
         filtered,
         np.asarray(confidence, np.float32),
-        distance=cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3),
         unit=SIGMA_UNIT_PX**2,
         least=LEAST_SIGMA_PX**2,
         rounding=WHOLE_PIXEL_VARIANCE if kernels.all_whole(measured) else 0.0,
-        unmatched=SIGMA_UNIT_PX**2 * (1 / COMPLETED_CONFIDENCE - 1),
-        spread_share=HOLE_SPREAD_SHARE,
-        distance_share=HOLE_DISTANCE_SHARE,
+        holes=holes,
     )
-    over_strips(kernels.standard_deviation, len(measured), evidence, sigma)
+    over_strips(kernels.standard_deviation, len(measured), terms, sigma)
     return sigma
 
 

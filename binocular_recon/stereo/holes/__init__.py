@@ -14,7 +14,6 @@ if TYPE_CHECKING:
         count_holes,
         fill_from_nearest,
         fill_holes,
-        spread_of_gaps,
     )
     from binocular_recon.stereo.holes.completion import (
         COMPLETED_CONFIDENCE,
@@ -32,7 +31,6 @@ __all__ = [
     'fill_from_background',
     'fill_from_nearest',
     'fill_holes',
-    'spread_of_gaps',
     'unexplained_holes',
 ]
 

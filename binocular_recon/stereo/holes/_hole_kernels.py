@@ -58,23 +58,6 @@ def fill_from_nearest(measured: Array, filled: Array, start: int, stop: int) -> 
 
 
 @kernel
-def spread_of_gaps(measured: Array, spread: Array, start: int, stop: int) -> None:
-    """Write the difference between the two ends of each run of NaN; 0 elsewhere."""
-    width = measured.shape[1]
-    for y in range(start, stop):
-        row, x = measured[y], 0
-        spread[y] = np.float32(0)
-        while x < width:
-            if not np.isnan(row[x]):
-                x += 1
-                continue
-            end = _end_of_hole(row, x)
-            if x > 0 and end < width:
-                spread[y, x:end] = abs(row[end] - row[x - 1])
-            x = end
-
-
-@kernel
 def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, stop: int) -> None:
     """Mark runs of NaN wider than what the step between their ends hides, by ``slack`` px."""
     width = disparity.shape[1]

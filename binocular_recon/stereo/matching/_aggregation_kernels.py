@@ -28,12 +28,19 @@ from binocular_recon._simd import (
     splat,
     store,
 )
-from binocular_recon.stereo.matching._cost_kernels import CostSource, new_cost_rows, next_cost_row
+from binocular_recon.stereo import _validity_kernels as validity
+from binocular_recon.stereo.matching._cost_kernels import (
+    WORST,
+    CostSource,
+    new_cost_rows,
+    next_cost_row,
+)
 
 EIGHTH = 3  # bits
 SENTINEL = np.uint8(255)  # above every sum that is told apart
 BLOCK = 2  # rows
 WARM_UP = 24
+LEAST_LEAD = 0.32  # of the best sum per percent of the ratio: noise decides between perfect ones
 BACKS = 8  # copies of the right picture's best sums: a store must have ended before the next load
 
 
@@ -52,6 +59,7 @@ class Decision(NamedTuple):
     uniqueness_ratio: float
     subpixel: bool
     disparity: Array
+    validity: Array
 
 
 class Paths(NamedTuple):
@@ -240,18 +248,26 @@ def _decide_row(
     for x in range(width):
         at, place = x * padded, chosen[x]
         there = width - 1 - x + place
-        if not (left_scored[x] and right_scored[there]):
+        if not left_scored[x]:
+            decision.validity[y, x] = validity.LOW_TEXTURE
             continue
         agrees = tolerance < 0
         low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
         for j in range(low, min(high, width - 1 - x) + 1):
             # the same right pixel, paired with a neighbour of the left one
             agrees |= total[at + place + j * (padded + 1)] == best[0, there]
-        if not agrees or (
-            decision.uniqueness_ratio > 0
-            and not _is_unique(total, at, place, disparities, decision.uniqueness_ratio)
-        ):
+        if not (agrees and right_scored[there]) or (tolerance >= 0 and costs[at + place] >= WORST):
+            decision.validity[y, x] = validity.CONFLICT
             continue
+        if tolerance >= 0 and (place == 0 or place == disparities - 1):
+            decision.validity[y, x] = validity.AT_LIMIT
+            continue
+        if decision.uniqueness_ratio > 0 and not _is_unique(
+            total, at, place, disparities, decision.uniqueness_ratio
+        ):
+            decision.validity[y, x] = validity.AMBIGUOUS
+            continue
+        decision.validity[y, x] = validity.MEASURED
         offset = _offset(costs, total, at + place) if 0 < place < disparities - 1 else 0.0
         if not decision.subpixel:
             offset = 0.0
@@ -265,7 +281,8 @@ def _is_unique(total: Array, at: int, place: int, disparities: int, ratio: float
     for k in range(disparities):
         if abs(k - place) > 1:
             second = min(second, np.int64(total[at + k]))
-    return bool(second * (100 - ratio) > total[at + place] * 100)
+    lead = second - np.int64(total[at + place])
+    return bool(lead * 100 > second * ratio and lead > LEAST_LEAD * ratio)
 
 
 @inline_kernel

@@ -9,6 +9,12 @@ import numpy as np
 
 from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
+from binocular_recon.stereo._validity_kernels import (
+    AMBIGUOUS,
+    AT_LIMIT,
+    CONFLICT,
+    MEASURED,
+)
 from binocular_recon.stereo.matching._ncc_kernels import (
     NO_SCORE,
     PaddedPair,
@@ -20,14 +26,12 @@ from binocular_recon.stereo.matching._ncc_kernels import (
 )
 
 PLACE_BITS = 12
-
 PLACES = 2**PLACE_BITS
-
 SCORE_STEPS = np.float32(2.0**18)  # per unit of score; -1.75..1 fits the key's upper 20 bits
-
 NO_KEY = np.int32(-(2**31))
-
 TILE = 32  # columns whose scores stay in the first-level cache
+# Least lead of the best score over the second, per percent of the ratio asked for.
+LEAST_LEAD = np.float32(0.002)
 
 
 class Selection(NamedTuple):
@@ -71,7 +75,24 @@ def _is_unique(scores: Array, place: int, ratio: float) -> bool:
     for k in range(scores.size):
         if abs(k - place) > 1:
             second = max(second, scores[k])
-    return bool((1 - second) * (100 - ratio) > (1 - scores[place]) * 100 or second == NO_SCORE)
+    if second == NO_SCORE:
+        return True
+    best = scores[place]
+    beaten = (1 - second) * (100 - ratio) > (1 - best) * 100
+    return bool(beaten and best - second > LEAST_LEAD * ratio)
+
+
+@kernel
+def _verdict(scores: Array, place: int, selection: Selection) -> Any:
+    """Return `MEASURED`, or why the best score of a pixel is no match."""
+    checked, ratio = selection.disp12_max_diff >= 0, selection.uniqueness_ratio
+    if checked and scores[place] <= 0:
+        return CONFLICT
+    if checked and (place == 0 or place == selection.disparities - 1):
+        return AT_LIMIT
+    if ratio > 0 and not _is_unique(scores, place, ratio):
+        return AMBIGUOUS
+    return MEASURED
 
 
 @kernel
@@ -88,9 +109,17 @@ def _offset(scores: Array, place: int) -> Any:
 
 @kernel
 def select_strip(
-    pair: PaddedPair, selection: Selection, disparity: Array, start: int, stop: int
+    pair: PaddedPair,
+    selection: Selection,
+    disparity: Array,
+    validity: Array,
+    start: int,
+    stop: int,
 ) -> None:
-    """Choose the best disparity of rows ``start`` to ``stop``; NaN = none."""
+    """Choose the best disparity of rows ``start`` to ``stop``; NaN = none.
+
+    ``validity`` gets the reason, and stays where there is no score.
+    """
     width, size = pair.left.shape[1], pair.size
     radius, nothing, last = size // 2, pair.left.shape[0] - 1, width - 1
     statistics, products = new_statistics(pair), new_products(pair)
@@ -120,8 +149,10 @@ def select_strip(
                 curve = scores[(x - tile) * padded : (x - tile) * padded + selection.disparities]
                 places[x] = _place(keys[x])
                 best = curve[places[x]]
-                ratio = selection.uniqueness_ratio
-                if best == NO_SCORE or (ratio > 0 and not _is_unique(curve, places[x], ratio)):
+                reason = _verdict(curve, places[x], selection)
+                if best != NO_SCORE:
+                    validity[y, x - radius] = reason
+                if best == NO_SCORE or reason != MEASURED:
                     places[x] = -1
                     continue
                 offset = _offset(curve, places[x]) if selection.subpixel else 0.0
@@ -132,6 +163,7 @@ def select_strip(
                     back = _place(right_keys[last - x + places[x]])
                     if abs(back - places[x]) > selection.disp12_max_diff:
                         disparity[y, x - radius] = np.nan
+                        validity[y, x - radius] = CONFLICT
 
 
 @kernel

@@ -7,7 +7,7 @@ import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import FloatImage
+from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.matching._aggregation_kernels import Decision, Penalties, match_strip
 from binocular_recon.stereo.matching._cost_kernels import CostSource
 from binocular_recon.stereo.matching._layout import (
@@ -28,13 +28,17 @@ LEAST_P2 = 1 / 3
 STRIP_PAIR = 256
 
 
-def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
+def select_disparities(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, ByteImage]:
     """Match a checked pair.
 
     Returns
     -------
     disparity_px : (H, W) float32
         NaN = none.
+    validity : (H, W) uint8
+        Measured, or why not.
 
     Notes
     -----
@@ -51,6 +55,7 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         config.uniqueness_ratio,
         config.subpixel,
         np.full((height, width), np.nan, np.float32),
+        np.zeros((height, width), np.uint8),
     )
     levels = even_levels(left)
     penalties = _penalties(config)
@@ -59,7 +64,7 @@ def select_disparities(left: FloatImage, right: FloatImage, config: MatchConfig)
         height,
         strip=-(-height // (2 * -(-height // STRIP_PAIR))),
     )
-    return decision.disparity
+    return decision.disparity, decision.validity
 
 
 def _cost_source(left: FloatImage, right: FloatImage, config: MatchConfig) -> CostSource:

@@ -10,7 +10,7 @@ import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import FloatImage
+from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._layout import check_pair, lay_out
@@ -25,6 +25,10 @@ from binocular_recon.stereo.matching.half_resolution import (
     has_weak_texture,
 )
 from binocular_recon.stereo.matching.refinement import smooth
+from binocular_recon.stereo.validity import Validity
+
+# Disparity, its standard deviation (both float32, NaN = none) and validity (uint8), all (H, W).
+Measured = tuple[FloatImage, FloatImage, ByteImage]
 
 # Disparities are rounded to this step, `delta_d` of a DisparityImage; without sub-pixel it is 1.
 SUBPIXEL_STEP_PX = 1 / 64
@@ -41,11 +45,14 @@ class Match:
     confidence : (H, W) float32
         In [0, 1], 0 where there is no disparity; carries the standard deviation of the
         disparity, see `sigma_from_confidence`.
+    validity : (H, W) uint8
+        `Validity.MEASURED`, or why there is no disparity.
 
     """
 
     disparity_px: FloatImage
     confidence: FloatImage
+    validity: ByteImage
 
 
 def disparity_step_px(config: MatchConfig) -> float:
@@ -81,7 +88,7 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     """
     left, right = check_pair(left, right)
     measure = _measure_by_consensus if config.consensus else _measure
-    disparity, sigma = measure(left, right, config)
+    disparity, sigma, validity = measure(left, right, config)
     confidence = np.empty_like(disparity)
     low, high = config.limits_px
 
@@ -95,53 +102,81 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
         # planes and half resolution may leave the range
         outside = ~((rows >= low) & (rows <= high))
         rows[outside], levels[outside] = np.nan, 0
+        _agree_with(rows, validity[start:stop])
 
     over_strips(finish, len(disparity))
-    return Match(disparity, confidence)
+    _mark_missing(left, right, validity, config)
+    return Match(disparity, confidence, validity)
 
 
-def _measure_by_consensus(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
+def _agree_with(disparity: FloatImage, validity: ByteImage) -> None:
+    """Let validity say what the disparity shows, in place; later steps add and drop matches."""
+    measured = np.isfinite(disparity)
+    said = (validity & Validity.MEASURED) > 0
+    validity[measured] = Validity.MEASURED
+    validity[~measured & said] = Validity.AMBIGUOUS
+
+
+def _mark_missing(
+    left: FloatImage, right: FloatImage, validity: ByteImage, config: MatchConfig
+) -> None:
+    """Say, in place, where one of the images has no data within the window."""
+    missing = np.isnan(left)
+    missing = missing | np.asarray(np.isnan(right).all(axis=1))[:, None]
+    if missing.any():
+        side = config.correlation_window_size
+        near = cv2.dilate(missing.view(np.uint8), np.ones((side, side), np.uint8)) > 0
+        validity[near & (validity != Validity.MEASURED)] = Validity.NO_DATA
+
+
+def _measure_by_consensus(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
     """Return what matches with several windows, seen from either camera, agree on."""
     mirrored = right[:, ::-1].copy(), left[:, ::-1].copy()
-    found = []
+    found, reasons = [], np.zeros(left.shape, np.uint8)
     for member in members(config):
-        found.append(_measure(left, right, member))
-        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, member))
+        disparity, sigma, validity = _measure(left, right, member)
+        found.append((disparity, sigma))
+        np.bitwise_or(reasons, validity, out=reasons)
+        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, member)[:2])
         found.append(carry_over(disparity, sigma))
     disparity, sigma = agree(*zip(*found, strict=True))
-    return (disparity if config.subpixel else np.rint(disparity)), sigma
+    return (disparity if config.subpixel else np.rint(disparity)), sigma, reasons
 
 
-def _measure(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
-    """Return the disparity and its standard deviation."""
-    disparity, sigma = _measure_once(left, right, config)
+def _measure(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
+    """Return the disparity, its standard deviation and the validity."""
+    disparity, sigma, validity = _measure_once(left, right, config)
     if config.half_resolution and has_weak_texture(disparity):
-        half = _measure_once(halve(left), halve(right), half_config(config))
+        # what a check took away for another reason than noise is not given back
+        taken = (validity & (Validity.AMBIGUOUS | Validity.AT_LIMIT)) > 0
+        half = _measure_once(halve(left), halve(right), half_config(config))[:2]
         fill_from_half(disparity, sigma, *half, config.speckle_size)
-    return disparity, sigma
+        disparity[taken], sigma[taken] = np.nan, np.nan
+    return disparity, sigma, validity
 
 
-def _measure_once(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, FloatImage]:
-    """Return the disparity and its standard deviation at one resolution."""
+def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
+    """Return the same at one resolution."""
     if min(left.shape) < config.correlation_window_size:
         nothing = np.full(left.shape, np.nan, np.float32)
-        return nothing, nothing.copy()
+        return nothing, nothing.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
     choose = _semi_global.select_disparities if config.semi_global else _select_local
-    disparity = choose(left, right, config)
+    disparity, validity = choose(left, right, config)
     _drop_speckles(disparity, config)
-    return smooth(disparity, left) if config.subpixel else (disparity, np.zeros_like(disparity))
+    if config.subpixel:
+        disparity, sigma = smooth(disparity, left)
+    else:
+        sigma = np.zeros_like(disparity)
+    return disparity, sigma, validity
 
 
-def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
+def _select_local(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, ByteImage]:
     """Choose each pixel's best score by itself; NaN = none."""
     pair, _ = lay_out(left, right, config, 0)
     disparity = np.full(left.shape, np.nan, np.float32)
+    validity = np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
     selection = Selection(
         config.disparity_range,
         config.min_disparity,
@@ -150,11 +185,11 @@ def _select_local(left: FloatImage, right: FloatImage, config: MatchConfig) -> F
         config.subpixel,
     )
     over_strips(
-        lambda start, stop: select_strip(pair, selection, disparity, start, stop),
+        lambda start, stop: select_strip(pair, selection, disparity, validity, start, stop),
         len(left),
         strip=48,
     )
-    return disparity
+    return disparity, validity
 
 
 def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:

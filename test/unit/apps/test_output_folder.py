@@ -19,11 +19,13 @@ from binocular_recon.io.pfm import read_pfm
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.search_range import SearchRange
 from binocular_recon.stereo.triangulation import triangulate
+from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 
 RIG = bag_tools.rig()
-ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png'}
+ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png', '_validity.png'}
 
 
 def reconstruction(disparity: float = 10.0) -> Reconstruction:
@@ -31,11 +33,14 @@ def reconstruction(disparity: float = 10.0) -> Reconstruction:
     disparity_px = np.full((bag_tools.HEIGHT, bag_tools.WIDTH), disparity, np.float32)
     disparity_px[:, 0] = np.nan
     sigma_px = np.full_like(disparity_px, 0.1)
+    measured = np.where(np.isnan(disparity_px), 0, Validity.MEASURED).astype(np.uint8)
     return Reconstruction(
         *bag_tools.image_pair(0),
-        Match(disparity_px, sigma_px),
-        Filtered(disparity_px, sigma_px, 1, 0.0),
-        triangulate(disparity_px, sigma_px, RIG, ChainConfig().cloud),
+        Match(disparity_px, sigma_px, measured),
+        Filtered(disparity_px, sigma_px, measured, 1, 0.0),
+        triangulate(disparity_px, sigma_px, measured, RIG, ChainConfig().cloud),
+        SearchRange(0, 64),
+        '',
     )
 
 
@@ -145,7 +150,8 @@ def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
     assert summary['left_out'] == [{'stamp_ns': 9, 'reason': 'too dark'}]
     assert (summary['finished'], summary['unpaired'], summary['preset']) == (False, 3, 'fast')
     assert results.sentence() == (
-        f'2 frames in {tmp_path}: density 99.0%, depth 4.00 to 4.00 m (median 4.00 m),'
+        f'2 frames in {tmp_path}: 99.0% of the pixels measured, 99.0% with a'
+        ' disparity; points from 4.00 to 4.00 m (median 4.00 m),'
         ' 1.00 s per frame'
     )
     np.testing.assert_array_equal(

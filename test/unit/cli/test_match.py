@@ -36,7 +36,7 @@ def test_match_writes_raw_disparity(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert np.median(np.abs(inner - 6)) < 0.05
     assert np.mean(np.abs(inner - 6) < 0.5) > 0.98
     assert Path(files[3]).stat().st_size > 1000
-    assert 'density 100.0%' in capsys.readouterr().out
+    assert '100.0% with a disparity' in capsys.readouterr().out
 
 
 def test_match_refuses_images_that_do_not_fit(

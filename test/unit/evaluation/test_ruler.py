@@ -21,7 +21,9 @@ from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.search_range import SearchRange
 from binocular_recon.stereo.triangulation import triangulate
+from binocular_recon.stereo.validity import Validity
 
 SCALE = 0.5
 
@@ -35,15 +37,18 @@ class Site:
     def ruler(self, disparity_px: npt.NDArray[np.float32] | None = None) -> Ruler:
         disparity = self.disparity_px if disparity_px is None else disparity_px
         sigma = np.full_like(disparity, 0.1)
-        cloud = triangulate(disparity, sigma, self.rig, CloudConfig(max_depth=21.5))
+        measured = np.full(disparity.shape, Validity.MEASURED, np.uint8)
+        cloud = triangulate(disparity, sigma, measured, self.rig, CloudConfig(max_depth=21.5))
         texture = np.random.default_rng(0).integers(0, 256, disparity.shape, np.uint8)
         return Ruler(
             Reconstruction(
                 texture,
                 texture,
-                Match(disparity, sigma),
-                Filtered(disparity, sigma, 0, 0.0),
+                Match(disparity, sigma, measured),
+                Filtered(disparity, sigma, measured, 0, 0.0),
                 cloud,
+                SearchRange(0, 128),
+                '',
             ),
             self.rig,
         )

@@ -14,10 +14,11 @@ def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
     points[0, 1] = np.nan
     points[1, 2, 2] = np.inf
     sigma = np.linspace(0.1, 0.6, 6, dtype=np.float32).reshape(2, 3)
+    validity = np.array([[1, 1, 2], [34, 1, 1]], np.uint8)
     bgr = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
     path = tmp_path / 'a.ply'
 
-    assert write_ply(path, points, sigma, bgr) == 4
+    assert write_ply(path, points, sigma, validity, bgr) == 4
 
     header, body = path.read_bytes().split(b'end_header\n')
     lines = [line for line in header.decode().splitlines() if not line.startswith('comment')]
@@ -31,20 +32,21 @@ def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
         'property uchar red',
         'property uchar green',
         'property uchar blue',
-        'property float sigma_z',
+        'property float scalar_sigma_z',
+        'property float scalar_validity',
     ]
     expected = [(0, 0), (0, 2), (1, 0), (1, 1)]
-    assert len(body) == 19 * len(expected)
-    for vertex, (row, column) in zip(struct.iter_unpack('<3f3Bf', body), expected, strict=True):
+    assert len(body) == 23 * len(expected)
+    for vertex, (row, column) in zip(struct.iter_unpack('<3f3B2f', body), expected, strict=True):
         assert vertex[:3] == tuple(points[row, column])
         assert vertex[3:6] == tuple(bgr[row, column, ::-1])
-        assert vertex[6] == sigma[row, column]
+        assert vertex[6:] == (sigma[row, column], validity[row, column])
 
 
 def test_a_cloud_without_points_is_a_valid_file(tmp_path: Path) -> None:
     points = np.full((2, 2, 3), np.nan, np.float32)
-    count = write_ply(
-        tmp_path / 'a.ply', points, np.zeros((2, 2), np.float32), np.zeros((2, 2, 3), np.uint8)
-    )
+    zeros = np.zeros((2, 2), np.float32)
+    bgr = np.zeros((2, 2, 3), np.uint8)
+    count = write_ply(tmp_path / 'a.ply', points, zeros, zeros.astype(np.uint8), bgr)
     assert count == 0
     assert (tmp_path / 'a.ply').read_bytes().endswith(b'end_header\n')

@@ -113,10 +113,10 @@ def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> No
     many = estimate_disparity(left, right, SLANTED)
     monkeypatch.setattr(_jit, 'thread_count', lambda: 1)
     one = estimate_disparity(left, right, SLANTED)
-    np.testing.assert_array_equal(many[0].disparity_px, one[0].disparity_px)
-    np.testing.assert_array_equal(many[0].confidence, one[0].confidence)
-    np.testing.assert_array_equal(many[1].disparity_px, one[1].disparity_px)
-    np.testing.assert_array_equal(many[1].sigma_px, one[1].sigma_px)
+    np.testing.assert_array_equal(many.matched.disparity_px, one.matched.disparity_px)
+    np.testing.assert_array_equal(many.matched.confidence, one.matched.confidence)
+    np.testing.assert_array_equal(many.filtered.disparity_px, one.filtered.disparity_px)
+    np.testing.assert_array_equal(many.filtered.sigma_px, one.filtered.sigma_px)
 
 
 @pytest.mark.large
@@ -126,7 +126,7 @@ def test_a_slanted_plane_is_continued_out_of_sight() -> None:
     error = {}
     for preset in ('default', 'accurate'):
         config = ChainConfig.preset(preset, disparity_range=32)
-        disparity = estimate_disparity(left, right, config)[1].disparity_px
+        disparity = estimate_disparity(left, right, config).filtered.disparity_px
         error[preset] = np.abs(disparity - truth)
     out_of_sight = np.mgrid[:100, :160][1] < truth
     assert error['accurate'][out_of_sight].mean() < 0.6 * error['default'][out_of_sight].mean()
@@ -143,7 +143,7 @@ def test_accurate_is_more_accurate_than_default() -> None:
         errors = []
         for seed in (1, 2, 3):
             pair = synthetic_pair(320, 240, 48, seed)
-            disparity = estimate_disparity(pair.left, pair.right, config)[1].disparity_px
+            disparity = estimate_disparity(pair.left, pair.right, config).filtered.disparity_px
             errors.append(np.abs(disparity - pair.disparity_px)[pair.visible])
         bad[preset] = 100 * np.mean(np.concatenate(errors) > 1)
     assert bad['accurate'] < 0.9 * bad['default']

@@ -13,6 +13,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._cost_kernels import new_cost_rows, next_cost_row
 from binocular_recon.stereo.matching._layout import CONTRAST, even_levels, exposure_gain
+from binocular_recon.stereo.validity import Validity
 from test import naive_sgm
 
 pytestmark = pytest.mark.kernel
@@ -78,6 +79,7 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
         min_disparity=first,
         disparity_range=count,
         disp12_max_diff=tolerance,
+        uniqueness_ratio=0.0,
         texture_threshold=0.0,
         subpixel=False,
     )
@@ -88,9 +90,10 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
     levels = even_levels(left).astype(np.int64)
     penalties = _semi_global._penalties(config)
     total = naive_sgm.aggregate(costs >> 3, levels, penalties.P1, penalties.P2.astype(np.int64))
-    expected = naive_sgm.choose(total, scored, first, tolerance)
-    disparity = _semi_global.select_disparities(left, right, config)
+    expected = naive_sgm.choose(total, costs, scored, first, tolerance)
+    disparity, validity = _semi_global.select_disparities(left, right, config)
     np.testing.assert_array_equal(disparity, expected)
+    np.testing.assert_array_equal(validity == Validity.MEASURED, np.isfinite(expected))
     assert 0.3 < np.isfinite(expected).mean() < 1
 
 

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search range of frame after frame, for live cameras."""
+
+from __future__ import annotations
+
+import functools
+import math
+import threading
+from typing import NamedTuple
+
+from binocular_recon.config import MatchConfig
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo.search_range import SearchRange, choose_range
+
+# The range is examined on each of the first frames and then once in a while; it shrinks if so many
+# examinations in a row asked for less than this share of it.
+FIRST_FRAMES, EXAMINE_EVERY_S = 3, 2.0
+SHRINK_AFTER, SHRINK_SHARE = 5, 0.7
+
+
+class Tracked(NamedTuple):
+    """The range to search in a frame, whether it is new, and a warning if a given one is bad."""
+
+    search: SearchRange
+    changed: bool
+    warning: str
+
+
+class RangeTracker:
+    """The search range of frame after frame: found in the first frames, examined again later.
+
+    It grows as soon as something lies outside, and shrinks only after several examinations in a
+    row have asked for much less: a car that passes must not change the range twice. Any thread may
+    call.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._key: object = None
+        self._search: SearchRange | None = None
+        self._warning = ''
+        self._examined = 0
+        self._next_s = -math.inf
+        self._smaller: list[SearchRange] = []
+
+    def update(
+        self,
+        left: FloatImage,
+        right: FloatImage,
+        config: MatchConfig,
+        infinity_px: float,
+        now_s: float,
+    ) -> Tracked:
+        """Return the range for a frame.
+
+        Parameters
+        ----------
+        left, right : (H, W) float32
+            Rectified grey images; NaN = no data.
+        config : MatchConfig
+            The range, or ``disparity_range`` 0.
+        infinity_px : float
+            Disparity of a point at infinity.
+        now_s : float
+            Time of any clock that runs on, s.
+
+        """
+        with self._lock:
+            key = config, infinity_px, left.shape
+            if key != self._key:
+                self._key, self._search, self._examined = key, None, 0
+                self._next_s, self._warning, self._smaller = -math.inf, '', []
+            before = self._search
+            if self._search is None or now_s >= self._next_s:
+                found, self._warning = choose_range(left, right, config, infinity_px)
+                self._search = self._merged(found)
+                self._examined += 1
+                if self._examined >= FIRST_FRAMES:
+                    self._next_s = now_s + EXAMINE_EVERY_S
+            return Tracked(self._search, self._search != before, self._warning)
+
+    def _merged(self, found: SearchRange) -> SearchRange:
+        now = self._search
+        if now is None:
+            return found
+        wider = _union(now, found)
+        if wider != now:
+            self._smaller = []
+            return wider
+        if found.disparity_range > SHRINK_SHARE * now.disparity_range:
+            self._smaller = []
+            return now
+        self._smaller.append(found)
+        if len(self._smaller) < SHRINK_AFTER:
+            return now
+        smaller, self._smaller = self._smaller, []
+        return functools.reduce(_union, smaller)
+
+
+def _union(one: SearchRange, other: SearchRange) -> SearchRange:
+    low, last = min(one.min_disparity, other.min_disparity), max(one.last, other.last)
+    return SearchRange(low, last - low + 1)

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search range: found from the images themselves, and checked where it is given.
+
+A range that is too small gives wrong depth, not less of it: what lies outside is filled from its
+surroundings. So the pair is matched once more at low resolution over every disparity that the
+image allows, which costs some per cent of a match at full resolution.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from binocular_recon.camera import StereoRig
+from binocular_recon.config import MatchConfig
+from binocular_recon.errors import ConfigError
+from binocular_recon.images import FloatImage
+from binocular_recon.stereo.matching.half_resolution import halve
+from binocular_recon.stereo.matching.matcher import match
+
+# What the options allow.
+FARTHEST_START, MOST_DISPARITIES = 2048, 4096
+# Images are halved until they are at most this wide.
+COARSE_WIDTH_PX = 480
+# Shares of the image's width that are searched, behind infinity and in front.
+BEHIND, IN_FRONT = 0.25, 0.75
+# The farthest and the nearest share of all pixels that are not trusted. Few wrong matches survive
+# the checks; behind everything they cost time at every pixel, in front they cover a thin object.
+FAR_SHARE, NEAR_SHARE = 0.005, 0.0005
+# The range is wider than what was found by this share of it on either side: low resolution loses
+# what is thin or covers few pixels.
+MARGIN = 0.2
+# With fewer matches than this share of the image the low resolution says nothing.
+LEAST_MATCHED = 0.03
+# A range is too small if this share of the matches at low resolution lies outside.
+OUTSIDE_SHARE = 0.005
+# Connected regions of fewer pixels are dropped at low resolution.
+_SPECKLES = 60
+
+
+class SearchRange(NamedTuple):
+    """Disparities to search.
+
+    Attributes
+    ----------
+    min_disparity : int
+        The smallest, px.
+    disparity_range : int
+        Their number.
+
+    """
+
+    min_disparity: int
+    disparity_range: int
+
+    @property
+    def last(self) -> int:
+        """The largest disparity searched, px."""
+        return self.min_disparity + self.disparity_range - 1
+
+    @property
+    def limits_px(self) -> tuple[float, float]:
+        """Smallest and largest disparity searched, px."""
+        return float(self.min_disparity), float(self.last)
+
+    def depths_m(self, rig: StereoRig) -> tuple[float, float]:
+        """Return the nearest and the farthest depth that these disparities mean, m."""
+        near, far = (
+            rig.focal_px * rig.baseline_m / shift if shift > 0 else math.inf
+            for shift in (limit - rig.disparity_offset_px for limit in (self.last, self[0]))
+        )
+        return near, far
+
+    def applied_to(self, config: MatchConfig) -> MatchConfig:
+        """Return ``config`` with this range."""
+        return dataclasses.replace(config, **self._asdict())
+
+
+def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
+    """Return the disparities of everything between two depths.
+
+    Parameters
+    ----------
+    near_m, far_m : float
+        Depths, m; ``far_m`` may be infinite.
+    rig : StereoRig
+        Rectified rig.
+
+    Raises
+    ------
+    ConfigError
+        If the depths are not in order, or need more disparities than can be searched.
+
+    """
+    if not 0 < near_m < far_m:
+        raise ConfigError(f'near must be above 0 and below far, got {near_m:g} m and {far_m:g} m')
+    reach = rig.focal_px * rig.baseline_m
+    first = math.floor(rig.disparity_offset_px + reach / far_m) - 1
+    last = math.ceil(rig.disparity_offset_px + reach / near_m) + 1
+    if last - first + 1 > MOST_DISPARITIES or abs(first) > FARTHEST_START:
+        raise ConfigError(
+            f'{near_m:g} to {far_m:g} m are disparities of {first} to {last} px with this rig, and'
+            f' at most {MOST_DISPARITIES} can be searched; raise near'
+        )
+    return SearchRange(first, last - first + 1)
+
+
+class Overview(NamedTuple):
+    """Disparities of a pair at low resolution, in pixels of full resolution.
+
+    Attributes
+    ----------
+    disparities_px : (N,) float32
+        All matches, in rising order.
+    pixels : int
+        Pixels of the image at low resolution, matched or not.
+    step_px : int
+        Pixels of full resolution per pixel.
+
+    """
+
+    disparities_px: FloatImage
+    pixels: int
+    step_px: int
+
+    @property
+    def matched_share(self) -> float:
+        """Share of the pixels that have a match."""
+        return self.disparities_px.size / self.pixels
+
+    def outside(self, first: float, last: float) -> tuple[float, float]:
+        """Return the shares of the matches below ``first`` and above ``last`` px."""
+        slack = self.step_px
+        below = int(np.searchsorted(self.disparities_px, first - slack))
+        above = self.disparities_px.size - int(np.searchsorted(self.disparities_px, last + slack))
+        count = max(1, self.disparities_px.size)
+        return below / count, above / count
+
+    def limits_px(self) -> tuple[float, float]:
+        """Return the farthest and the nearest disparity that can be trusted, px."""
+        count = self.disparities_px.size
+        low = min(count - 1, int(FAR_SHARE * self.pixels))
+        high = max(0, count - 1 - int(NEAR_SHARE * self.pixels))
+        return float(self.disparities_px[low]), float(self.disparities_px[max(low, high)])
+
+
+def overview(
+    left: FloatImage, right: FloatImage, config: MatchConfig, infinity_px: float | None = None
+) -> Overview:
+    """Match a pair at low resolution over every disparity that its width allows.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Rectified grey images; NaN = no data.
+    config : MatchConfig
+        Its texture threshold is used.
+    infinity_px : float, optional
+        Disparity of a point at infinity, ``cx_left - cx_right`` of the rectified cameras; nothing
+        lies beyond. Without it a quarter of the width behind zero is searched too.
+
+    """
+    step = 1
+    while left.shape[1] > COARSE_WIDTH_PX and min(left.shape) > 2 * config.correlation_window_size:
+        left, right, step = halve(left), halve(right), 2 * step
+    width = left.shape[1]
+    first = -int(BEHIND * width) if infinity_px is None else math.floor(infinity_px / step) - 1
+    last = max(first, 0) + int(IN_FRONT * width)
+    coarse = MatchConfig(
+        min_disparity=max(first, -FARTHEST_START),
+        disparity_range=max(2, min(last - first + 1, MOST_DISPARITIES)),
+        texture_threshold=config.texture_threshold,
+        half_resolution=False,
+        speckle_size=_SPECKLES,
+    )
+    disparity = match(left, right, coarse).disparity_px
+    found = np.sort(disparity[np.isfinite(disparity)]) * np.float32(step)
+    return Overview(found, disparity.size, step)
+
+
+def find_range(seen: Overview, width: int, infinity_px: float | None = None) -> SearchRange:
+    """Return the range to search in images ``width`` px wide, from an overview of the pair.
+
+    Where low resolution matches next to nothing, half of the width from infinity on.
+    """
+    far = 0.0 if infinity_px is None else infinity_px
+    if seen.matched_share < LEAST_MATCHED:
+        return _limited(math.floor(far), math.ceil(far + width / 2))
+    low, high = seen.limits_px()
+    margin = MARGIN * (high - low) + 2 * seen.step_px
+    # infinity is always in sight of somebody: beyond the last match, in the sky, through a door
+    low = min(low - margin, 0.0) if infinity_px is None else infinity_px - 1
+    return _limited(math.floor(low), math.ceil(high + margin))
+
+
+def choose_range(
+    left: FloatImage,
+    right: FloatImage,
+    config: MatchConfig,
+    infinity_px: float | None = None,
+    *,
+    check: bool = True,
+) -> tuple[SearchRange, str]:
+    """Return the range to search in a pair, and a warning if a given one is too small.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Rectified grey images; NaN = no data.
+    config : MatchConfig
+        The range, or ``disparity_range`` 0: it is found.
+    infinity_px : float, optional
+        As for `overview`.
+    check : bool
+        Whether to check a given range.
+
+    """
+    given = SearchRange(config.min_disparity, config.disparity_range)
+    if not (config.finds_range or check):
+        return given, ''
+    seen = overview(left, right, config, infinity_px)
+    if not config.finds_range:
+        return given, warn_of_range(seen, config, left.shape[1], infinity_px)
+    found = find_range(seen, left.shape[1], infinity_px)
+    if config.min_disparity:  # set: it stays
+        found = _limited(config.min_disparity, max(found.last, config.min_disparity + 15))
+    return found, ''
+
+
+def warn_of_range(
+    seen: Overview, config: MatchConfig, width: int, infinity_px: float | None = None
+) -> str:
+    """Return a warning if a range is too small for a pair, with the range to set; else ''."""
+    first, last = config.limits_px
+    below, above = seen.outside(first, last)
+    if seen.matched_share < LEAST_MATCHED or max(below, above) < OUTSIDE_SHARE:
+        return ''
+    better = find_range(seen, width, infinity_px)
+    low, high = min(better.min_disparity, int(first)), max(better.last, int(last))
+    sides = [
+        f'{share:.1%} of the matches lie {side}'
+        for share, side in ((above, f'above {last:g} px (nearer)'), (below, f'below {first:g} px'))
+        if share >= OUTSIDE_SHARE
+    ]
+    return (
+        f'the search range {first:g}..{last:g} px is too small: {" and ".join(sides)}; set'
+        f' min_disparity {low} and disparity_range {high - low + 1}, or disparity_range 0 to have'
+        ' it found'
+    )
+
+
+def _limited(low: int, high: int) -> SearchRange:
+    low = max(-FARTHEST_START, min(low, FARTHEST_START))
+    return SearchRange(low, max(16, min(high - low + 1, MOST_DISPARITIES)))

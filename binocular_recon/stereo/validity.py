@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a disparity is worth: measured or filled, and why a pixel was not measured."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+from binocular_recon.stereo import _validity_kernels as bits
+
+# Shares of measured pixels below which a result is refused, and warned of.
+LEAST_MATCHED, FEW_MATCHED = 0.1, 0.3
+REMEDY = (
+    'check that left and right are not exchanged, that rows correspond (calibration), exposure,'
+    ' focus and the search range'
+)
+
+
+class Validity(IntFlag):
+    """Bits of a validity image, (H, W) uint8, in the manner of CNES Pandora's validity mask.
+
+    A pixel with a disparity has one of the first three; one that is not measured has a reason
+    beside it. 0: no disparity and no reason known.
+    """
+
+    MEASURED = int(bits.MEASURED)
+    """Matched in both images, every check passed."""
+    FILLED = int(bits.FILLED)
+    """Not measured; between measured pixels."""
+    EXTRAPOLATED = int(bits.EXTRAPOLATED)
+    """Not measured; beyond the last measured pixel, out of the right camera's view, sky."""
+    LOW_TEXTURE = int(bits.LOW_TEXTURE)
+    """Too little texture for a score."""
+    CONFLICT = int(bits.CONFLICT)
+    """The best match does not match back, or its correlation is not positive."""
+    AMBIGUOUS = int(bits.AMBIGUOUS)
+    """Another disparity is as good, or too few neighbours agree."""
+    AT_LIMIT = int(bits.AT_LIMIT)
+    """The best disparity is the first or the last of the search range."""
+    NO_DATA = int(bits.NO_DATA)
+    """One of the images has no data there."""
