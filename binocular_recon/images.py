@@ -17,7 +17,7 @@ ByteImage = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
 # Largest value of each accepted type: white.
-# Fewer black pixels in one piece at the border are a dark thing.
+# Fewer pixels of one level in one piece at the border are a thing in the picture.
 LEAST_PADDING = 100
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
 
@@ -57,8 +57,8 @@ def to_grey(image: Image) -> FloatImage:
 def mark_empty(grey: FloatImage) -> None:
     """Mark as no data, in place, what an image only pads: black borders, blank rows and columns.
 
-    Rectification and recorders leave black where they have nothing to show, and broken transfers
-    blank lines. Their edges would be matched like any other.
+    Rectification and recorders leave black, or another level in the corners, where they have
+    nothing to show, and broken transfers blank lines. Their edges would be matched like any other.
 
     Parameters
     ----------
@@ -66,20 +66,30 @@ def mark_empty(grey: FloatImage) -> None:
         Grey levels, `to_grey`; becomes NaN where there is no data.
 
     """
-    for lines in (grey, grey.T):
-        low, high = lines.min(axis=1), lines.max(axis=1)
-        blank = low == high
-        if blank.any() and not blank.all():
-            lines[blank] = np.nan
     black = grey == 0
     border = np.concatenate([black[0], black[-1], black[:, 0], black[:, -1]])
     if border.any() and not black.all():
-        _, labels, _, _ = cv2.connectedComponentsWithStats(black.astype(np.uint8), connectivity=4)
-        edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-        area = np.bincount(labels.ravel())
-        padding = np.unique(edge[edge > 0])
-        padding = padding[area[padding] >= LEAST_PADDING]
-        grey[np.isin(labels, padding)] = np.nan
+        _, labels = cv2.connectedComponents(black.astype(np.uint8), connectivity=4)
+        touching = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        padding = np.zeros(labels.max() + 1, np.bool_)
+        padding[touching] = True
+        padding &= np.bincount(labels.ravel()) >= LEAST_PADDING
+        padding[0] = False  # what is not black
+        grey[padding[labels]] = np.nan
+    height, width = grey.shape
+    for corner in ((0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)):
+        level = grey[corner[::-1]]
+        if np.isnan(level):
+            continue
+        mask = np.zeros((height + 2, width + 2), np.uint8)
+        area = cv2.floodFill(grey, mask, corner, 0, 0, 0, 4 | cv2.FLOODFILL_MASK_ONLY)[0]
+        if LEAST_PADDING <= area < grey.size:
+            grey[mask[1:-1, 1:-1] > 0] = np.nan
+    for lines in (grey, grey.T):
+        # fmin and fmax pass over NaN
+        blank = np.fmin.reduce(lines, axis=1) == np.fmax.reduce(lines, axis=1)
+        if blank.any() and not blank.all():
+            lines[blank] = np.nan
 
 
 def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:

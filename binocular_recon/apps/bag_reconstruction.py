@@ -24,9 +24,12 @@ from binocular_recon.io.bags.stereo_topics import (
     name_stereo_topics,
 )
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.stereo.pipeline import Chain
+from binocular_recon.stereo.pipeline import Chain, warm_up
 from binocular_recon.stereo.search_range import SearchRange, range_of_depths
 from binocular_recon.stereo.validity import FEW_MATCHED, LEAST_MATCHED, REMEDY
+
+# Loading compiled kernels takes less.
+_LONG_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,15 @@ def reconstruct_bag(
     return sentence
 
 
+def _prepare(config: ChainConfig, report: Callable[[str], None]) -> None:
+    """Compile the kernels before frames are timed, and say so if it took long."""
+    begun = time.perf_counter()
+    warm_up(config)
+    seconds = time.perf_counter() - begun
+    if seconds > _LONG_S:
+        report(f'kernels compiled in {seconds:.0f} s; they are kept for the next run')
+
+
 def _topics(bag: Bag, source: BagInput) -> StereoTopics:
     calibrated = source.calibration is not None
     if source.images is None:
@@ -166,6 +178,8 @@ def _reconstruct(
     count = -(-stereo.expected // source.every)
     with ProgressBar(min(count, source.max_frames or count), 'frames') as progress:
         for pair in itertools.islice(stereo, 0, None, source.every):
+            if chain is None:
+                _prepare(config, report)
             if chain is None or pair.rig is not rig:
                 chain, rig = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha), pair.rig
                 if source.near_m is not None:

@@ -86,9 +86,6 @@ class ResultFolder:
         """Write all files of a frame or none; raises a FileError if they cannot be written."""
         index = len(self.frames)
         result = FrameResult(reconstruction, rig)
-        with complete_files(self.folder) as parts:
-            for spec in self._formats:
-                spec.write_frame(parts, index, result)
         points = np.isfinite(reconstruction.cloud.points_xyz).all(axis=-1)
         frame = {
             'index': index,
@@ -110,7 +107,9 @@ class ResultFolder:
             self._searched_m = reconstruction.search.depths_m(rig)
         elif rig is not self._rig:
             frame['calibration'] = _calibration(rig)
-        self.frames.append(frame)
+        with complete_files(self.folder, lambda: self.frames.append(frame)) as parts:
+            for spec in self._formats:
+                spec.write_frame(parts, index, result)
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:
         """Note a pair that could not be reconstructed."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A progress bar for the terminal."""
+"""A progress bar for the terminal, and plain lines for logs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import time
 
 # Steps may take microseconds; drawing the line takes longer.
 _REDRAW_PERIOD_S = 0.1
+# Without a terminal: often enough to show that the work goes on.
+PLAIN_PERIOD_S = 10.0
 
 
 class ProgressBar:
-    """One line on stderr that is redrawn; draws nothing if stderr is not a terminal.
+    """One line on stderr that is redrawn; a line every ten seconds where that is not a terminal.
 
     Parameters
     ----------
@@ -42,16 +44,26 @@ class ProgressBar:
     def show(self, done: int, note: str = '') -> None:
         """Draw the bar with ``done`` finished steps, and ``note`` behind it."""
         now_s = time.monotonic()
-        if not self._visible or (done and now_s < self._next_s):
+        if done and now_s < self._next_s:
             return
-        self._next_s = now_s + _REDRAW_PERIOD_S if done else 0.0
-        share = min(1.0, done / self._total)
-        text = f' {done} of {self._total} {self._unit}'
+        if self._visible:
+            self._next_s = now_s + _REDRAW_PERIOD_S if done else 0.0
+            self._redraw(done, self._text(done, note, now_s))
+        else:
+            self._next_s = now_s + PLAIN_PERIOD_S
+            if done:
+                print(self._text(done, note, now_s), file=sys.stderr, flush=True)
+
+    def _text(self, done: int, note: str, now_s: float) -> str:
+        text = f'{done} of {self._total} {self._unit}'
         if done:
             left_s = (now_s - self._start) / done * max(0, self._total - done)
             text += f', {left_s:.0f} s left'
-        text += f'  {note}' if note else ''
+        return f'{text}  {note}' if note else text
+
+    def _redraw(self, done: int, text: str) -> None:
+        share = min(1.0, done / self._total)
         columns = shutil.get_terminal_size().columns
-        width = max(0, min(40, columns - len(text) - 3))
+        width = max(0, min(40, columns - len(text) - 4))
         bar = f'[{"#" * round(width * share):<{width}}]' if width >= 5 else ''
-        print(end=f'\r\033[K{bar}{text}'[: columns + 3], file=sys.stderr, flush=True)
+        print(end=f'\r\033[K{bar} {text}'[: columns + 3], file=sys.stderr, flush=True)

@@ -8,7 +8,9 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Iterator
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -67,7 +69,7 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextlib.contextmanager
-def complete_files(folder: Path) -> Iterator[Path]:
+def complete_files(folder: Path, completed: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """Open a temporary folder whose files move to ``folder`` once all of them are complete.
 
     After an interruption or on a full disk, none of the new files remains, and old files are
@@ -77,6 +79,8 @@ def complete_files(folder: Path) -> Iterator[Path]:
     ----------
     folder : Path
         Final folder of the files; it must exist.
+    completed : callable
+        Called when all files are in place, before an interruption can be noticed.
 
     Yields
     ------
@@ -93,8 +97,10 @@ def complete_files(folder: Path) -> Iterator[Path]:
     make_folder(parts)
     try:
         yield parts
-        for part in sorted(parts.iterdir()):
-            part.replace(folder / part.name)
+        with _interrupts_deferred():
+            for part in sorted(parts.iterdir()):
+                part.replace(folder / part.name)
+            completed()
     except FileError:
         raise
     except OSError as error:
@@ -103,6 +109,22 @@ def complete_files(folder: Path) -> Iterator[Path]:
         ) from error
     finally:
         shutil.rmtree(parts, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _interrupts_deferred() -> Iterator[None]:
+    """Let Ctrl-C wait until the end of the block; Python delivers it to the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noticed: list[object] = []
+    before = signal.signal(signal.SIGINT, lambda *_: noticed.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if noticed:
+        raise KeyboardInterrupt
 
 
 def flush(path: Path) -> None:

@@ -6,7 +6,9 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, replace
 
-from binocular_recon.camera import StereoRig
+import numpy as np
+
+from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
@@ -125,6 +127,21 @@ class Chain:
         check_size(left, self.rig.left.size, 'left')
         check_size(right, self.rig.right.size, 'right')
         return left, right
+
+
+def warm_up(config: ChainConfig) -> None:
+    """Compile, or load, every kernel that a chain with these options calls.
+
+    The first call after an installation takes up to half a minute, later ones a second.
+    """
+    noise = np.random.default_rng(0).integers(0, 256, (64, 96), np.uint8)
+    P = np.array([[100.0, 0, 48, 0], [0, 100, 32, 0], [0, 0, 1, 0]])
+    right = P + np.array([[0, 0, 0, -50.0], [0, 0, 0, 0], [0, 0, 0, 0]])
+    rig = StereoRig(*(Camera(96, 64, P[:, :3], np.zeros(5), np.eye(3), p) for p in (P, right)))
+    search = SearchRange(-4, 16)  # identical images have disparity 0
+    config = replace(config, match=search.applied_to(config.match))
+    for image in (noise, np.stack([noise] * 3, axis=-1)):
+        Chain(rig, config, rectify=False)(image, image)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,3 +26,20 @@ def test_progress_is_drawn_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
             bar.show(3)  # too soon to be drawn
             assert '3 of 4 frames' not in stream.getvalue()
         assert stream.getvalue().endswith('\r\033[K') is seen
+
+
+def test_without_a_terminal_a_line_comes_every_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, now_s = io.StringIO(), 0.0
+    monkeypatch.setattr(sys, 'stderr', stream)
+    monkeypatch.setattr('time.monotonic', lambda: now_s)
+    with ProgressBar(40, 'frames') as bar:
+        for done in range(1, 40):
+            now_s = float(done)
+            bar.show(done)
+    assert stream.getvalue().splitlines() == [
+        '10 of 40 frames, 30 s left',
+        '20 of 40 frames, 20 s left',
+        '30 of 40 frames, 10 s left',
+    ]

@@ -5,6 +5,7 @@ import contextlib
 import errno
 import os
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -98,3 +99,37 @@ def test_json_refuses_values_that_json_has_not(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match='not JSON compliant'):
         write_json(tmp_path / 'a.json', {'x': float('nan')})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_waits_until_all_files_are_in_place(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def completed() -> None:
+        signal.raise_signal(signal.SIGINT)  # noticed after the block
+        done.append('completed')
+
+    def write() -> None:
+        with complete_files(tmp_path, completed) as parts:
+            for name in ('a', 'b'):
+                (parts / name).write_text(name)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert done == ['completed']
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['a', 'b']
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_an_interruption_while_files_are_written_leaves_none(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def write() -> None:
+        with complete_files(tmp_path, lambda: done.append('completed')) as parts:
+            (parts / 'a').write_text('a')
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert not done
+    assert not list(tmp_path.iterdir())
