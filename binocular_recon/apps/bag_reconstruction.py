@@ -26,7 +26,7 @@ from binocular_recon.io.bags.stereo_topics import (
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.stereo.pipeline import Chain, warm_up
 from binocular_recon.stereo.search_range import SearchRange, range_of_depths
-from binocular_recon.stereo.validity import FEW_MATCHED, LEAST_MATCHED, REMEDY
+from binocular_recon.stereo.validity import FEW_MATCHED, LEAST_MATCHED, MOST_OUTSIDE, REMEDY
 
 # Loading compiled kernels takes less.
 _LONG_S = 5.0
@@ -138,7 +138,7 @@ def reconstruct_bag(
     sentence = results.sentence()
     if stereo.unpaired:
         sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
-    if results.matched < FEW_MATCHED:
+    if results.frames and results.matched < FEW_MATCHED:
         report(f'warning: only {results.matched:.0%} of the pixels could be matched; {REMEDY}')
     return sentence
 
@@ -192,10 +192,13 @@ def _reconstruct(
             else:
                 seconds = time.perf_counter() - start
                 if not results.frames:
-                    report(_searched(reconstruction.search, chain.rig))
-                if reconstruction.warning and not warned:
+                    report(_searched(reconstruction.range.search, chain.rig))
+                warning = reconstruction.range.warning
+                if warning and not warned:
                     warned = True
-                    report(f'warning: {reconstruction.warning}')
+                    report(f'warning: {warning}')
+                if reconstruction.range.outside_share > MOST_OUTSIDE:
+                    results.refuse(warning)
                 results.add(pair.stamp_ns, pair.rig, reconstruction, seconds)
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
@@ -220,10 +223,13 @@ def _raise_problems(bag: Bag, results: ResultFolder, least_matched: float) -> No
             f'{len(results.left_out)} of {total} pairs were left out, the first because'
             f' {results.left_out[0]["reason"]}'
         )
-    if results.frames and results.matched < least_matched:
+    if results.refused and least_matched > 0:
+        problems.append(f'{results.refused[0]}; or accept the result (--least-matched 0)')
+    elif results.frames and results.matched < least_matched:
         problems.append(
             f'only {results.matched:.1%} of the pixels could be matched, at least'
-            f' {least_matched:.0%} are expected; {REMEDY}, or accept it (--least-matched 0)'
+            f' {least_matched:.0%} are expected; {REMEDY}, or accept the result'
+            ' (--least-matched 0)'
         )
     if problems:
         kept = f'{len(results.frames)} frames are in {results.folder}'

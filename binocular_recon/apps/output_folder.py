@@ -46,6 +46,8 @@ class ResultFolder:
         Entry of each finished frame in the summary.
     left_out : list of dict
         Stamp and reason of each pair that could not be reconstructed.
+    refused : list of str
+        Why frames that are written must not be relied on.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class ResultFolder:
         self.folder = folder
         self.frames: list[dict[str, Any]] = []
         self.left_out: list[dict[str, Any]] = []
+        self.refused: list[str] = []
         self._source = source
         self._formats = [
             spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
@@ -77,8 +80,8 @@ class ResultFolder:
 
     @property
     def matched(self) -> float:
-        """Mean share of the pixels that were measured."""
-        return statistics.fmean(frame['matched'] for frame in self.frames)
+        """Mean share of the pixels that were measured; 0 without a frame."""
+        return statistics.fmean([frame['matched'] for frame in self.frames] or [0.0])
 
     def add(
         self, stamp_ns: int, rig: StereoRig, reconstruction: Reconstruction, seconds: float
@@ -93,23 +96,27 @@ class ResultFolder:
             'density': float(np.isfinite(result.disparity_px).mean()),
             'matched': float(np.mean((result.validity & Validity.MEASURED) > 0)),
             'disparity_px': {
-                'min': reconstruction.search.min_disparity,
-                'max': reconstruction.search.last,
+                'min': reconstruction.range.search.min_disparity,
+                'max': reconstruction.range.search.last,
             },
             'depth_m': _depth_range(reconstruction.cloud.depth_m),
             'seconds': round(seconds, 4),
             'points': int(np.count_nonzero(points)),
         }
-        if reconstruction.warning:
-            frame['warning'] = reconstruction.warning
+        if reconstruction.range.warning:
+            frame['warning'] = reconstruction.range.warning
         if self._rig is None:
             self._rig = rig
-            self._searched_m = reconstruction.search.depths_m(rig)
+            self._searched_m = reconstruction.range.search.depths_m(rig)
         elif rig is not self._rig:
             frame['calibration'] = _calibration(rig)
         with complete_files(self.folder, lambda: self.frames.append(frame)) as parts:
             for spec in self._formats:
                 spec.write_frame(parts, index, result)
+
+    def refuse(self, reason: str) -> None:
+        """Note that a frame that is written must not be relied on."""
+        self.refused.append(reason)
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:
         """Note a pair that could not be reconstructed."""

@@ -6,10 +6,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from binocular_recon.cli.options import add_chain_options, chain_config, note
 from binocular_recon.config import ChainConfig, CloudConfig
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, ImageError
+
+if TYPE_CHECKING:
+    from binocular_recon.stereo.pipeline import DisparityEstimate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,15 +72,34 @@ def run(args: argparse.Namespace) -> None:
     if args.heat_map:
         write_image_file(args.heat_map, heat_map_with_scale(disparity_px, 'px'))
     write_image_file(_beside(args.output, '_validity.png'), filtered.validity)
-    if found.warning:
-        note(f'warning: {found.warning}')
+    matched = float(np.isfinite(found.matched.disparity_px).mean())
     low, median, high = np.nanquantile(disparity_px, [0, 0.5, 1])
     print(
-        f'{args.output}: {np.isfinite(found.matched.disparity_px).mean():.1%} of the pixels'
+        f'{args.output}: {matched:.1%} of the pixels'
         f' measured, {np.isfinite(disparity_px).mean():.1%} with a disparity; {low:.1f} to'
-        f' {high:.1f} px (median {median:.1f} px) of {found.search.min_disparity} to'
-        f' {found.search.last} px searched, {seconds:.2f} s'
+        f' {high:.1f} px (median {median:.1f} px) of {found.range.search.min_disparity} to'
+        f' {found.range.search.last} px searched, {seconds:.2f} s'
     )
+    _judge(found, matched)
+
+
+def _judge(found: DisparityEstimate, matched: float) -> None:
+    """Warn of a result that may be wrong; raise an ImageError if most of it must be."""
+    from binocular_recon.stereo.validity import (
+        FEW_MATCHED,
+        LEAST_MATCHED,
+        MOST_OUTSIDE,
+        REMEDY,
+    )
+
+    if found.range.outside_share > MOST_OUTSIDE:
+        raise ImageError(found.range.warning)
+    if matched < LEAST_MATCHED:
+        raise ImageError(f'only {matched:.1%} of the pixels could be matched; {REMEDY}')
+    if found.range.warning:
+        note(f'warning: {found.range.warning}')
+    if matched < FEW_MATCHED:
+        note(f'warning: only {matched:.0%} of the pixels could be matched; {REMEDY}')
 
 
 def _beside(path: Path, ending: str) -> Path:

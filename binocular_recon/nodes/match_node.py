@@ -22,7 +22,7 @@ from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.matching.matcher import Match, disparity_step_px, match
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
-from binocular_recon.stereo.search_range import range_of_depths
+from binocular_recon.stereo.search_range import check_order, range_of_depths
 from binocular_recon.stereo.validity import FEW_MATCHED, REMEDY
 
 # Share of white pixels above which the node warns of the exposure.
@@ -71,6 +71,8 @@ class MatchNode(FrameNode):
         config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
         self._report_matches(matched, warn=exposed)
+        if np.isfinite(matched.disparity_px).mean() < FEW_MATCHED and exposed:
+            check_order(left_grey, right_grey, config, rig.disparity_offset_px)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)

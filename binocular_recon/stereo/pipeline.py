@@ -14,8 +14,9 @@ from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching.matcher import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
-from binocular_recon.stereo.search_range import SearchRange, choose_range
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange, check_order, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
+from binocular_recon.stereo.validity import FEW_MATCHED
 
 # A given search range is checked on the first frame and then on every tenth.
 CHECK_EVERY = 10
@@ -35,10 +36,8 @@ class Reconstruction:
         Dense disparity with its standard deviation and validity.
     cloud : Cloud
         Metric points in the left rectified frame.
-    search : SearchRange
-        The disparities that were searched.
-    warning : str
-        What is wrong with a given search range, and the range to set; else empty.
+    range : RangeChoice
+        The disparities that were searched, and what is wrong with them if they were given.
 
     """
 
@@ -47,8 +46,7 @@ class Reconstruction:
     matched: Match
     filtered: Filtered
     cloud: Cloud
-    search: SearchRange
-    warning: str
+    range: RangeChoice
 
 
 class Chain:
@@ -112,9 +110,7 @@ class Chain:
             self.rig,
             self.config.cloud,
         )
-        return Reconstruction(
-            left, right, found.matched, filtered, cloud, found.search, found.warning
-        )
+        return Reconstruction(left, right, found.matched, filtered, cloud, found.range)
 
     def search(self, disparities: SearchRange) -> None:
         """Search these disparities from now on, whatever the options said."""
@@ -154,17 +150,14 @@ class DisparityEstimate:
         Disparity and confidence of each pixel that could be matched.
     filtered : Filtered
         Dense disparity with its standard deviation and validity.
-    search : SearchRange
-        The disparities that were searched.
-    warning : str
-        What is wrong with a given search range, and the range to set; else empty.
+    range : RangeChoice
+        The disparities that were searched, and what is wrong with them if they were given.
 
     """
 
     matched: Match
     filtered: Filtered
-    search: SearchRange
-    warning: str
+    range: RangeChoice
 
 
 def estimate_disparity(
@@ -200,10 +193,11 @@ def estimate_disparity(
     left_grey, right_grey = to_grey(left), to_grey(right)
     mark_empty(left_grey)
     mark_empty(right_grey)
-    search, warning = choose_range(
-        left_grey, right_grey, config.match, infinity_px, check=check_range
-    )
+    chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
+    search = chosen.search
     matched = match(left_grey, right_grey, search.applied_to(config.match))  # eq. 10
+    if np.isfinite(matched.disparity_px).mean() < FEW_MATCHED:
+        check_order(left_grey, right_grey, config.match, infinity_px)
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
         matched.disparity_px,
@@ -212,4 +206,4 @@ def estimate_disparity(
         limits_px=search.limits_px,
         reasons=matched.validity,
     )
-    return DisparityEstimate(matched, filtered, search, warning)
+    return DisparityEstimate(matched, filtered, chosen)

@@ -72,8 +72,9 @@ class RangeTracker:
                 self._next_s, self._warning, self._smaller = -math.inf, '', []
             before = self._search
             if self._search is None or now_s >= self._next_s:
-                found, self._warning = choose_range(left, right, config, infinity_px)
-                self._search = self._merged(found)
+                found = choose_range(left, right, config, infinity_px)
+                self._warning = found.warning
+                self._search = self._merged(found.search)
                 self._examined += 1
                 if self._examined >= FIRST_FRAMES:
                     self._next_s = now_s + EXAMINE_EVERY_S

@@ -16,7 +16,7 @@ import numpy as np
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import MatchConfig
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, ImageError
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.matching.half_resolution import halve
 from binocular_recon.stereo.matching.matcher import match
@@ -37,6 +37,8 @@ MARGIN = 0.2
 LEAST_MATCHED = 0.03
 # A range is too small if this share of the matches at low resolution lies outside.
 OUTSIDE_SHARE = 0.005
+# Images are exchanged if so many pixels match the other way round, and half as many as given.
+EXCHANGED_SHARE = 0.3
 # Connected regions of fewer pixels are dropped at low resolution.
 _SPECKLES = 60
 
@@ -77,6 +79,24 @@ class SearchRange(NamedTuple):
     def applied_to(self, config: MatchConfig) -> MatchConfig:
         """Return ``config`` with this range."""
         return dataclasses.replace(config, **self._asdict())
+
+
+class RangeChoice(NamedTuple):
+    """The range to search in a pair.
+
+    Attributes
+    ----------
+    search : SearchRange
+    warning : str
+        What is wrong with a given range, and the range to set; else empty.
+    outside_share : float
+        Share of the matches at low resolution that lie outside of a range with a warning.
+
+    """
+
+    search: SearchRange
+    warning: str = ''
+    outside_share: float = 0.0
 
 
 def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
@@ -203,8 +223,8 @@ def choose_range(
     infinity_px: float | None = None,
     *,
     check: bool = True,
-) -> tuple[SearchRange, str]:
-    """Return the range to search in a pair, and a warning if a given one is too small.
+) -> RangeChoice:
+    """Choose the range to search in a pair; a given one is kept, and checked.
 
     Parameters
     ----------
@@ -220,24 +240,24 @@ def choose_range(
     """
     given = SearchRange(config.min_disparity, config.disparity_range)
     if not (config.finds_range or check):
-        return given, ''
+        return RangeChoice(given)
     seen = overview(left, right, config, infinity_px)
     if not config.finds_range:
-        return given, warn_of_range(seen, config, left.shape[1], infinity_px)
+        return RangeChoice(given, *_fault(seen, config, left.shape[1], infinity_px))
     found = find_range(seen, left.shape[1], infinity_px)
     if config.min_disparity:  # set: it stays
         found = _limited(config.min_disparity, max(found.last, config.min_disparity + 15))
-    return found, ''
+    return RangeChoice(found)
 
 
-def warn_of_range(
+def _fault(
     seen: Overview, config: MatchConfig, width: int, infinity_px: float | None = None
-) -> str:
-    """Return a warning if a range is too small for a pair, with the range to set; else ''."""
+) -> tuple[str, float]:
+    """Return what is wrong with a range that is too small, and the share of matches outside."""
     first, last = config.limits_px
     below, above = seen.outside(first, last)
     if seen.matched_share < LEAST_MATCHED or max(below, above) < OUTSIDE_SHARE:
-        return ''
+        return '', 0.0
     better = find_range(seen, width, infinity_px)
     low, high = min(better.min_disparity, int(first)), max(better.last, int(last))
     sides = [
@@ -245,11 +265,34 @@ def warn_of_range(
         for share, side in ((above, f'above {last:g} px (nearer)'), (below, f'below {first:g} px'))
         if share >= OUTSIDE_SHARE
     ]
-    return (
+    text = (
         f'the search range {first:g}..{last:g} px is too small: {" and ".join(sides)}; set'
         f' min_disparity {low} and disparity_range {high - low + 1}, or disparity_range 0 to have'
         ' it found'
     )
+    return text, below + above
+
+
+def check_order(
+    left: FloatImage, right: FloatImage, config: MatchConfig, infinity_px: float | None = None
+) -> None:
+    """Raise an ImageError if the images match only when they are exchanged.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Rectified grey images of which few pixels could be matched; NaN = no data.
+    config, infinity_px
+        As for `overview`.
+
+    """
+    given = overview(left, right, config, infinity_px or 0.0).matched_share
+    exchanged = overview(right, left, config, -(infinity_px or 0.0)).matched_share
+    if exchanged > max(2 * given, EXCHANGED_SHARE):
+        raise ImageError(
+            f'left and right are exchanged: {given:.0%} of the pixels match as given, and'
+            f" {exchanged:.0%} the other way round; exchange the images (or the cameras' topics)"
+        )
 
 
 def _limited(low: int, high: int) -> SearchRange:

@@ -9,6 +9,8 @@ from binocular_recon.stereo import _validity_kernels as bits
 
 # Shares of measured pixels below which a result is refused, and warned of.
 LEAST_MATCHED, FEW_MATCHED = 0.1, 0.3
+# With a larger share of the matches outside of a given search range a result is refused too.
+MOST_OUTSIDE = 0.05
 REMEDY = (
     'check that left and right are not exchanged, that rows correspond (calibration), exposure,'
     ' focus and the search range'

@@ -19,7 +19,7 @@ from binocular_recon.io.pfm import read_pfm
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
-from binocular_recon.stereo.search_range import SearchRange
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 from test import bag_tools
@@ -39,8 +39,7 @@ def reconstruction(disparity: float = 10.0) -> Reconstruction:
         Match(disparity_px, sigma_px, measured),
         Filtered(disparity_px, sigma_px, measured, 1, 0.0),
         triangulate(disparity_px, sigma_px, measured, RIG, ChainConfig().cloud),
-        SearchRange(0, 64),
-        '',
+        RangeChoice(SearchRange(0, 64)),
     )
 
 

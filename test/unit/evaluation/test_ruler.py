@@ -21,7 +21,7 @@ from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
-from binocular_recon.stereo.search_range import SearchRange
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
@@ -47,8 +47,7 @@ class Site:
                 Match(disparity, sigma, measured),
                 Filtered(disparity, sigma, measured, 0, 0.0),
                 cloud,
-                SearchRange(0, 128),
-                '',
+                RangeChoice(SearchRange(0, 128)),
             ),
             self.rig,
         )

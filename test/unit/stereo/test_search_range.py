@@ -67,7 +67,7 @@ def test_the_range_holds_all_disparities_and_little_more(disparities: int, known
 def test_cameras_that_look_at_each_other() -> None:
     """All disparities are negative: at 0..127 nothing would be right."""
     left, right, largest = pair(60, shift=-80)
-    found, warning = choose_range(left, right, MatchConfig(), -80.0)
+    found, warning, _ = choose_range(left, right, MatchConfig(), -80.0)
     assert warning == ''
     assert found.min_disparity == -81
     assert largest <= found.last < 0
@@ -81,7 +81,8 @@ def test_cameras_that_look_at_each_other() -> None:
 def test_a_range_that_is_too_small_is_noticed() -> None:
     left, right, largest = pair(96)
     config = MatchConfig(disparity_range=32)
-    _, warning = choose_range(left, right, config, 0.0)
+    _, warning, outside = choose_range(left, right, config, 0.0)
+    assert 0.2 < outside < 0.8
     assert 'the search range 0..31 px is too small' in warning
     assert 'above 31 px (nearer)' in warning
     words = warning.replace(',', '').split()
@@ -92,26 +93,28 @@ def test_a_range_that_is_too_small_is_noticed() -> None:
     )
     assert choose_range(left, right, better, 0.0)[1] == ''
     # and one that begins too near
-    _, warning = choose_range(left, right, MatchConfig(min_disparity=40, disparity_range=80), 0.0)
+    _, warning, _ = choose_range(
+        left, right, MatchConfig(min_disparity=40, disparity_range=80), 0.0
+    )
     assert 'below 40 px' in warning
 
 
 def test_a_range_that_fits_is_not_complained_about() -> None:
     left, right, _ = pair(96)
-    given, warning = choose_range(left, right, MatchConfig(disparity_range=96), 0.0)
-    assert (given, warning) == (SearchRange(0, 96), '')
+    given, warning, outside = choose_range(left, right, MatchConfig(disparity_range=96), 0.0)
+    assert (given, warning, outside) == (SearchRange(0, 96), '', 0.0)
 
 
 def test_images_without_texture_get_half_of_the_width() -> None:
     flat = np.full((HEIGHT, WIDTH), 90, np.float32)
-    found, warning = choose_range(flat, flat, MatchConfig(), 5.5)
+    found, warning, _ = choose_range(flat, flat, MatchConfig(), 5.5)
     assert (found.min_disparity, found.last, warning) == (5, 326, '')
     assert choose_range(flat, flat, MatchConfig(disparity_range=16), 5.5)[1] == ''
 
 
 def test_a_given_start_is_kept() -> None:
     left, right, largest = pair(96)
-    found, _ = choose_range(left, right, MatchConfig(min_disparity=7), 0.0)
+    found = choose_range(left, right, MatchConfig(min_disparity=7), 0.0).search
     assert found.min_disparity == 7
     assert found.last >= largest
 
@@ -119,7 +122,7 @@ def test_a_given_start_is_kept() -> None:
 @pytest.mark.parametrize('shape', [(1, 1), (3, 40), (40, 3), (12, 900)])
 def test_small_images_have_a_range_too(shape: tuple[int, int]) -> None:
     noise = np.random.default_rng(0).uniform(0, 255, shape).astype(np.float32)
-    found, _ = choose_range(noise, noise, MatchConfig(), 0.0)
+    found = choose_range(noise, noise, MatchConfig(), 0.0).search
     assert found.disparity_range >= 16
 
 
