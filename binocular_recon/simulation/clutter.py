@@ -134,7 +134,7 @@ def _facade(size: tuple[int, int], rng: np.random.Generator) -> GreyField:
 
 
 def _grass(size: tuple[int, int], rng: np.random.Generator) -> GreyField:
-    """Blades of grass, light and dark, over the whole picture."""
+    """Blades of grass, light and dark, over the whole image."""
     width, height = size
     image = _shade(fractal_noise(size, 128, rng), (60, 110, 100), 0.3)
     canvas = np.ascontiguousarray(np.clip(image, 0, 255).astype(np.uint8))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray-cast pictures of banded rods before painted planes, as a camera's sensor delivers them."""
+"""Ray-cast images of banded rods before painted planes, as a camera's sensor delivers them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from binocular_recon.simulation.rods import PlacedBoard
 
 Canvas = npt.NDArray[np.float32]
 
-# Rays of flat pictures are exact at every 16th pixel and interpolated between (0.01 px).
+# Rays of flat images are exact at every 16th pixel and interpolated between (0.01 px).
 GRID_PX = 16
 # Points at which a rod's outline is projected before its rows are filled.
 OUTLINE_POINTS = 65
@@ -52,14 +52,14 @@ class RodPaint:
 
 @dataclass(frozen=True, eq=False)
 class Billboard:
-    """A flat picture standing in the scene.
+    """A flat image standing in the scene.
 
     Attributes
     ----------
     texture : (h, w, 3) uint8
         Colours.
     alpha : (h, w) uint8 or None
-        255 where the picture hides what is behind it; None = everywhere, and mirrored on beyond
+        255 where the image hides what is behind it; None = everywhere, and mirrored on beyond
         its border.
     corner_xyz : (3,) float64
         Centre of the top left pixel in the rig's frame, m.
@@ -86,7 +86,7 @@ class Sensor:
 
 
 def draw_backdrop(view: View, backdrop: Billboard) -> Canvas:
-    """Return the picture of a plane that fills the view: (H, W, 3) float32, grey levels."""
+    """Return the image of a plane that fills the view: (H, W, 3) float32, grey levels."""
     columns, rows = _texture_coordinates(view, backdrop)
     image: Canvas = cv2.remap(
         backdrop.texture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.target.rods import RodBoard, visible_borders
+from binocular_recon.calibration.target.rods import RodBoard, visible_edges
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.simulation.rig import RawRig, View
@@ -50,13 +50,13 @@ class PlacedBoard:
         marks: FloatArray = self.feet_xyz[:, None] + heights * self.directions_xyz[:, None]
         return marks
 
-    def borders_px(self, view: View) -> FloatArray:
-        """Return where ``view`` sees the borders of the bands: (R, M, 2) float64, px.
+    def marks_px(self, view: View) -> FloatArray:
+        """Return where ``view`` sees the edges of the bands: (R, M, 2) float64, px.
 
-        The point is the border's on the surface facing the camera; it may lie out of the picture.
+        The point is the edge's on the surface facing the camera; it may lie out of the image.
         """
         return view.project(
-            visible_borders(
+            visible_edges(
                 self.marks_xyz(),
                 self.directions_xyz[:, None],
                 view.centre_xyz,
@@ -153,17 +153,17 @@ def draw_board(
     depth_m : tuple of float
         Range of the board's distance.
     roll_rad : tuple of float
-        Range of the board's tilt in the picture, to either side.
+        Range of the board's tilt in the image, to either side.
     cut : bool
-        True: the frame cuts some rod in some picture, but each shows most marks; False: every mark
-        is at least ``margin_px`` inside both pictures.
+        True: the image border cuts a rod in at least one image, but both show most marks; False:
+        every mark is at least ``margin_px`` inside both images.
     margin_px : float
-        Distance of a seen mark from the frame.
+        Distance of a seen mark from the image border.
 
     Raises
     ------
     CalibrationError
-        If the board does not fit into both pictures within ``depth_m``.
+        If the board does not fit into both images within ``depth_m``.
 
     """
     for _ in range(TRIES):
@@ -176,7 +176,7 @@ def draw_board(
             middle[1] += rng.uniform(-0.1, 0.15) * z
         placed = place_board(board, np.array(pose), np.array(middle), rng)
         seen = np.stack(
-            [inside(placed.borders_px(view), view.camera.size, margin_px) for view in rig.views()]
+            [inside(placed.marks_px(view), view.camera.size, margin_px) for view in rig.views()]
         )
         per_rod = seen.all(0).sum(1)
         if seen.all() and not cut:
@@ -186,13 +186,13 @@ def draw_board(
             return placed
     raise CalibrationError(
         f'a board {np.ptp(board.rods_xz_m[:, 0]):g} m wide and {board.marks_m[-1]:g} m high does'
-        f' not fit into both pictures at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or'
+        f' not fit into both images at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or'
         ' more depth'
     )
 
 
 def inside(pixels: FloatArray, size: tuple[int, int], margin_px: float) -> npt.NDArray[np.bool_]:
-    """Return which pixels (..., 2) lie at least ``margin_px`` inside a picture of ``size``."""
+    """Return which pixels (..., 2) lie at least ``margin_px`` inside an image of ``size``."""
     limit = np.array(size) - 1 - margin_px
     within: npt.NDArray[np.bool_] = np.all((pixels >= margin_px) & (pixels <= limit), axis=-1)
     return within

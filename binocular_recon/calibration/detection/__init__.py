@@ -2,7 +2,7 @@
 """Detection: the rods of a board are found in an image and their marks measured.
 
 `detect` runs the steps: rods are searched (`_rod_search`), told apart (`_board_layout`,
-`_identity`), and their edges and marks fitted below a pixel (`_rod_sides`, `_border_fit`,
+`_identity`), and their edges and marks fitted below a pixel (`_rod_sides`, `_edge_fit`,
 `_refinement`). Exports `detect_rods` and its result.
 """
 

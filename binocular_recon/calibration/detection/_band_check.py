@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell the borders between two bands from the ends of a rod.
+"""Tell the edges between two bands from the ends of a rod.
 
-A dark foot on light ground looks like a border with a light band below it. What is below differs
+A dark foot on light ground looks like an edge with a light band below it. What is below differs
 from the rod's light bands, and not from what is beside it.
 """
 
@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.detection._border_fit import BorderFit
+from binocular_recon.calibration.detection._edge_fit import EdgeFit
 from binocular_recon.calibration.detection._rod_sides import RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
-# Distances from the border along the rod that are looked at, px.
+# Distances from the edge along the rod that are looked at, px.
 ALONG_PX = np.linspace(2.0, 6.0, 5)
 # Places across: on the rod as shares of its half width, beside it from its sides, px.
 ACROSS = np.array([-0.4, 0.0, 0.4])
@@ -26,10 +26,10 @@ LEVEL_SPREAD = 0.06
 def rod_ends(
     image: FloatImage,
     rods: list[RodFit | None],
-    table: list[list[BorderFit | None]],
+    table: list[list[EdgeFit | None]],
     usual: FloatArray | None,
 ) -> tuple[Mask, FloatArray]:
-    """Return which borders have a band of the rod on one side only.
+    """Return which edges have a band of the rod on one side only.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ def rod_ends(
         Grey levels.
     rods : list of RodFit or None
         Middle lines and widths of the rods.
-    table : list of list of BorderFit or None
-        Borders of each rod, None = not found; below the first one it is dark.
+    table : list of list of EdgeFit or None
+        Edges of each rod, None = not found; below the first one it is dark.
     usual : (2,) float64 or None
-        Levels of dark and light bands; None = those of these borders.
+        Levels of dark and light bands; None = those of these edges.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def rod_ends(
 
     """
     found = np.array([[fit is not None for fit in row] for row in table])
-    # on the rod and beside it, below and above each border
+    # on the rod and beside it, below and above each edge
     levels = np.full((*found.shape, 2, 2), np.nan)
     for r, (rod, row) in enumerate(zip(rods, table, strict=True)):
         for m, fit in enumerate(row):
@@ -71,7 +71,7 @@ def rod_ends(
 
 
 def _outermost(found: Mask, absent: Mask) -> Mask:
-    """Return the first borders of rods beyond which nothing is, if most rods agree on the mark.
+    """Return the first edges of rods beyond which nothing is, if most rods agree on the mark.
 
     One alone may be hidden or stand before something as even.
     """
@@ -84,8 +84,8 @@ def _outermost(found: Mask, absent: Mask) -> Mask:
     return ends
 
 
-def _levels(image: FloatImage, rod: RodFit, fit: BorderFit) -> FloatArray:
-    """Return the levels on the rod and beside it, below and above a border: (2, 2)."""
+def _levels(image: FloatImage, rod: RodFit, fit: EdgeFit) -> FloatArray:
+    """Return the levels on the rod and beside it, below and above an edge: (2, 2)."""
     _, up, half = rod.place(fit.point_px[1])
     right = np.array([-up[1], up[0]])
     beside = np.concatenate([-half - BESIDE_PX, half + BESIDE_PX])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell which track is which rod, and which border which mark, from the board as a whole."""
+"""Tell which track is which rod, and which edge which mark, from the board as a whole."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ IntArray = npt.NDArray[np.int64]
 ANCHORS = 14
 # Best tracks that may serve as its other rods.
 CANDIDATES = 80
-# Largest deviation of a track's borders from even heights, as a share of a spacing.
+# Largest deviation of a track's edges from even heights, as a share of a spacing.
 CROOKED = 0.12
 # Apparent spacing of two rods against their distance at the rods' own scale.
 NARROWEST, WIDEST = 0.2, 1.3
-# Rods stand upright on the row: largest cosine between the two in a picture (perspective).
-MOST_SKEW = 0.7
+# Rods stand upright on the row: largest cosine between the two in an image (perspective).
+MAX_SKEW = 0.7
 
 
 class Anchor(NamedTuple):
-    """A track taken as a rod with its lowest border at a certain mark."""
+    """A track taken as a rod with its lowest edge at a certain mark."""
 
     track: int
     ends: FloatArray  # bottom and top x, y, px per metre: (5,)
@@ -58,7 +58,7 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
     board : RodBoard
         Places of the rods and heights of the marks.
     size : tuple of int
-        Width and height of the picture, px.
+        Width and height of the image, px.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
         anchor for i, track in enumerate(tracks[:ANCHORS]) for anchor in _anchors(i, track, board)
     ]
     tracks = tracks[:CANDIDATES]
-    table = _border_table(tracks)
+    table = _edge_table(tracks)
     looks = np.array([_looks(track) for track in tracks])
     search = _best_single if board.count == 1 else _best_pair
     best = search(anchors, table, looks, board, size)
@@ -87,8 +87,8 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
     return Layout(marks, float(np.median(widths)), frozenset(chosen.tolist()) - {NONE})
 
 
-def _border_table(tracks: list[Track]) -> FloatArray:
-    """Return x, y and sign of the tracks' borders: (T, M, 3), NaN = none."""
+def _edge_table(tracks: list[Track]) -> FloatArray:
+    """Return x, y and sign of the tracks' edges: (T, M, 3), NaN = none."""
     table = np.full((len(tracks), len(tracks[0].points_px) if tracks else 0, 3), np.nan)
     for t, track in enumerate(tracks):
         table[t, :, :2] = track.points_px
@@ -99,13 +99,13 @@ def _border_table(tracks: list[Track]) -> FloatArray:
 def _anchors(index: int, track: Track, board: RodBoard) -> list[Anchor]:
     """Return the ways in which a track's marks may be the board's: shifted by pairs of marks.
 
-    One border may fall off: a foot on light ground or a top before the sky looks like one.
+    One edge may fall off: a foot on light ground or a top before the sky looks like one.
     """
-    heights, borders = board.marks_m, np.nonzero(track.found)[0]
+    heights, edges = board.marks_m, np.nonzero(track.found)[0]
     ways = []
     for shift in range(-(len(heights) // 2) * 2, len(heights), 2):
-        found = borders[(borders + shift >= 0) & (borders + shift < len(heights))]
-        if len(found) < max(2, len(borders) - 1):
+        found = edges[(edges + shift >= 0) & (edges + shift < len(heights))]
+        if len(found) < max(2, len(edges) - 1):
             continue
         points = track.points_px[found]
         h = heights[found + shift]
@@ -161,7 +161,7 @@ def _best_pair(
         sides = left.ends[:4].reshape(2, 2), right.ends[:4].reshape(2, 2)
         if (
             one.track == other.track
-            or _skew(*sides) > MOST_SKEW
+            or _skew(*sides) > MAX_SKEW
             or not 0.5 < left.ends[4] / right.ends[4] < 2
         ):
             continue

@@ -15,20 +15,20 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Agreement of the grey levels around a border with the rods' own that makes it a mark
-# (1 = equal, 0 = no border).
+# Agreement of the grey levels around an edge with the rods' own that makes it a mark
+# (1 = equal, 0 = no edge).
 AGREEMENT = 0.45
 # Marks of a rod that vouch for each other: a lone one may be a corner of something else.
-LEAST_MARKS = 2
-# Something in front of the rod may come as near to a border as this, px.
+MIN_MARKS = 2
+# Something in front of the rod may come as near to an edge as this, px.
 NEAR_RISE_PX = 2.0
 
 
 class Averaged(NamedTuple):
-    """A picture averaged for rods of one width, in which marks are looked for.
+    """An image averaged for rods of one width, in which marks are looked for.
 
     ``middle`` over the rod's width and a good part of it along the rod, ``near`` over few rows;
-    ``rises_px`` (2,): how far from a border their levels are compared.
+    ``rises_px`` (2,): how far from an edge their levels are compared.
     """
 
     middle: FloatImage
@@ -38,7 +38,7 @@ class Averaged(NamedTuple):
 
     @classmethod
     def of(cls, image: FloatImage, width_px: float) -> Averaged:
-        """Average a picture (H, W) for rods about ``width_px`` wide."""
+        """Average an image (H, W) for rods about ``width_px`` wide."""
         mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
         middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
         near = cv2.blur(image, (2 * mid + 1, 3))
@@ -48,12 +48,12 @@ class Averaged(NamedTuple):
 def complete(
     averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray:
-    """Add the marks that the picture shows where the board says they must be.
+    """Add the marks that the image shows where the board says they must be.
 
     Parameters
     ----------
     averaged : Averaged
-        The picture.
+        The image.
     board : RodBoard
         Places of rods and marks.
     marks_px : (R, M, 2) float64
@@ -81,11 +81,11 @@ def complete(
         agreement = np.zeros(board.marks_per_rod)
         middle, near, rises, _ = averaged
         if known < 2:
-            # only a rod whose place is known may be looked at right beside the border
+            # only a rod whose place is known may be looked at right beside the edge
             near, rises = middle, rises[[0, 0]]
         search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
         new = missing & (agreement > AGREEMENT)
-        if missing.all() and new.sum() < LEAST_MARKS:
+        if missing.all() and new.sum() < MIN_MARKS:
             continue
         completed[rod, new] = points[new]
     return completed

@@ -20,7 +20,7 @@ from binocular_recon.calibration.detection._board_layout import CROOKED
 from binocular_recon.calibration.detection._guided_search import Averaged, complete
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.target.board_plane import (
-    expected_in_picture,
+    expected_in_image,
     lateral_limit_m,
     plane_marks,
     predict_marks,
@@ -36,15 +36,15 @@ IntArray = npt.NDArray[np.int64]
 CLEAR_MARGIN = 2.0
 # The same where feet that another identity takes for marks count as explained.
 FEET_MARGIN = 1.0
-# Marks nearer to the frame than this may be missed, px.
-FRAME_MARGIN_PX = 4.0
+# Marks nearer to the image border than this may be missed, px.
+BORDER_MARGIN_PX = 4.0
 # Share of the marks found that another identity must have too.
-FEWEST_KEPT = 0.6
+MIN_KEPT = 0.6
 # Rods are put up square to their row, on ground that slopes by less than 17 degrees.
-MOST_SLANT = 0.3
+MAX_SLANT = 0.3
 # What a slant of 1 speaks against an identity, in marks.
 SLANT_COST = 10.0
-# How near to a foot a border must be to be that foot, as a share of the lowest spacing.
+# How near to a foot an edge must be to be that foot, as a share of the lowest spacing.
 AT_FOOT = 0.15
 # Index of no rod, whatever is added to it.
 NOWHERE = -1000
@@ -53,14 +53,14 @@ NOWHERE = -1000
 class Reading(NamedTuple):
     """One identity of the marks, followed to its consequences.
 
-    ``score`` is the number of marks explained less half the number missing; ``borders_px``
+    ``score`` is the number of marks explained less half the number missing; ``edges_px``
     (R, M, 2) all marks it finds, NaN = none; ``feet_px`` (R, 2) where it says rods end, to
-    ``reach_px``; ``ends_px`` (N, 2) where borders turned out to be ends of rods.
+    ``reach_px``; ``ends_px`` (N, 2) where edges turned out to be ends of rods.
     """
 
     marks_px: FloatArray
     score: float
-    borders_px: FloatArray
+    edges_px: FloatArray
     feet_px: FloatArray
     reach_px: float
     ends_px: FloatArray
@@ -69,7 +69,7 @@ class Reading(NamedTuple):
 def settle_identity(
     image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined
 ) -> FloatArray | None:
-    """Return the marks with the identity that the picture supports best; None if two do.
+    """Return the marks with the identity that the image supports best; None if two do.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def settle_identity(
     if np.isfinite(marks_px).all():
         return marks_px  # nothing else has a place for all of them
     ways = [marks_px, *other_identities(board, marks_px, size)]
-    ways = [way for way in ways if slant(board, way, size) < MOST_SLANT]
+    ways = [way for way in ways if slant(board, way, size) < MAX_SLANT]
     if not ways:
         return None
     most = int(np.isfinite(marks_px[..., 0]).sum())
@@ -102,8 +102,8 @@ def settle_identity(
     scores = np.array([reading.score + _feet_met(reading, ends) for reading in readings])
     best = int(np.argmax(scores))
     # what others take for marks may be the feet of the rods, too, on light ground
-    borders = np.concatenate([ends, *(reading.borders_px.reshape(-1, 2) for reading in readings)])
-    with_feet = np.array([reading.score + _feet_met(reading, borders) for reading in readings])
+    edges = np.concatenate([ends, *(reading.edges_px.reshape(-1, 2) for reading in readings)])
+    with_feet = np.array([reading.score + _feet_met(reading, edges) for reading in readings])
     clear = all(
         (values[best] - np.delete(values, best) >= margin).all()
         for values, margin in ((scores, CLEAR_MARGIN), (with_feet, FEET_MARGIN))
@@ -134,7 +134,7 @@ def other_identities(
     for move in moves:
         r, m = rods + move[:, 0], marks + move[:, 1]
         exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)
-        if exists.mean() < FEWEST_KEPT:
+        if exists.mean() < MIN_KEPT:
             continue
         moved = np.full_like(marks_px, np.nan)
         moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
@@ -203,7 +203,7 @@ def _read(
     marks_px, size = refined.marks_px, (image.shape[1], image.shape[0])
     plane = plane_marks(board, marks_px, size)
     predicted = predict_marks(board, marks_px, plane)
-    expected = int(expected_in_picture(predicted, size, FRAME_MARGIN_PX).sum())
+    expected = int(expected_in_image(predicted, size, BORDER_MARGIN_PX).sum())
     against = 0.5 * (most - int(np.isfinite(marks_px[..., 0]).sum()))
     against += SLANT_COST * slant(board, marks_px, size)
 
@@ -214,12 +214,12 @@ def _read(
     more = complete(averaged, board, marks_px, predicted)
     if score(more) < least:
         return None
-    borders, ends = marks_px.copy(), np.empty((0, 2))
+    edges, ends = marks_px.copy(), np.empty((0, 2))
     new = np.isfinite(more[..., 0]) & ~np.isfinite(marks_px[..., 0])
     if new.any():
         only_new = np.where(new[..., None], more, np.nan)
         added = refine(image, board, only_new, predicted, plane, refined.levels)
-        borders = np.where(np.isfinite(added.marks_px), added.marks_px, borders)
+        edges = np.where(np.isfinite(added.marks_px), added.marks_px, edges)
         ends = added.ends_px
     heights = board.marks_m
     step = (predicted[:, 1] - predicted[:, 0]) / (heights[1] - heights[0])
@@ -227,10 +227,10 @@ def _read(
     reach = AT_FOOT * float(
         np.nanmedian(np.linalg.norm(predicted[:, 1] - predicted[:, 0], axis=1))
     )
-    return Reading(marks_px, score(borders), borders, feet, reach, ends)
+    return Reading(marks_px, score(edges), edges, feet, reach, ends)
 
 
-def _feet_met(reading: Reading, borders_px: FloatArray) -> int:
-    """Return how many rods end where one of the borders (N, 2) is, says a reading."""
-    gaps = np.linalg.norm(borders_px - reading.feet_px[:, None], axis=2)
+def _feet_met(reading: Reading, edges_px: FloatArray) -> int:
+    """Return how many rods end where one of the edges (N, 2) is, says a reading."""
+    gaps = np.linalg.norm(edges_px - reading.feet_px[:, None], axis=2)
     return int((np.nanmin(gaps, axis=1, initial=np.inf) < reading.reach_px).sum())

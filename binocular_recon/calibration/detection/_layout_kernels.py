@@ -14,7 +14,7 @@ from binocular_recon.camera import FloatArray
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1
-# Cost of a mark that should be in the picture but was not found, and of a border that should
+# Cost of a mark that should be in the image but was not found, and of an edge that should
 # not be there, against 1 for a mark explained.
 MISSING, UNEXPLAINED = 0.3, 0.5
 # Rods of a board are painted alike: standard deviation of the logarithm of a track's step. Their
@@ -22,9 +22,9 @@ MISSING, UNEXPLAINED = 0.3, 0.5
 STEP_RANGE, WIDTH_RANGE = 0.4, 0.6
 # A rod is off sideways by less than this share of the distance to the next one.
 BESIDE = 0.35
-# Focal lengths that cameras have, as shares of the picture's width.
+# Focal lengths that cameras have, as shares of the image's width.
 NARROW_FOCAL, WIDE_FOCAL = 0.4, 5.0
-# How far a border may be from where two other rods put the mark, as a share of the spacing.
+# How far an edge may be from where two other rods put the mark, as a share of the spacing.
 ALONG = 0.35
 
 
@@ -35,7 +35,7 @@ def off_plane(
     """Return the image (homogeneous x, y and weight) of a metre off the plane of two rods.
 
     ``ends`` as in `predict_rod`, of rods ``apart_m`` apart; ``size`` width and height of the
-    picture, px. The way from one rod to the other is as long as in space with the right focal
+    image, px. The way from one rod to the other is as long as in space with the right focal
     length, and the rods are square to it and to the optical axis.
     """
     cx, cy = 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)
@@ -97,9 +97,9 @@ def _match_track(
     lateral: float,
     indices: IntArray,
 ) -> tuple[int, int]:
-    """Give the borders of a track the marks of a predicted rod: numbers explained and not.
+    """Give the edges of a track the marks of a predicted rod: numbers explained and not.
 
-    ``track`` (n, 3): x, y, sign of each border, NaN = none. ``indices`` (n,) is written.
+    ``track`` (n, 3): x, y, sign of each edge, NaN = none. ``indices`` (n,) is written.
     """
     length = marks[-1] - marks[0]
     ax, ay = predicted[2] - predicted[0], predicted[3] - predicted[1]
@@ -134,7 +134,7 @@ def _match_track(
 
 @kernel
 def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
-    """Return whether the track's first border is off the predicted rod's line sideways."""
+    """Return whether the track's first edge is off the predicted rod's line sideways."""
     j = 0
     while math.isnan(track[j, 0]):
         j += 1
@@ -158,7 +158,7 @@ def _neighbour_gap(
     r: int,
     predicted: FloatArray,
 ) -> float:
-    """Return how far the feet of the next rods are from that of rod r in the picture, px."""
+    """Return how far the feet of the next rods are from that of rod r in the image, px."""
     beside = np.empty(4)
     gap = 1e9
     for other in (r - 1, r + 1):
@@ -187,7 +187,7 @@ def score_layout(
     Parameters
     ----------
     tracks : (T, n, 3) float64
-        x, y, sign of each border, NaN = none.
+        x, y, sign of each edge, NaN = none.
     looks : (T, 3) float64
         How much each track looks like a rod (0..1), logarithm of its step and of its width.
     ends : (2, 5) float64
@@ -199,12 +199,12 @@ def score_layout(
     marks : (M,) float64
         Heights of the marks, m.
     limits : (6,) float64
-        Width and height of the picture less a margin, px; how far a rod may be off sideways, m
+        Width and height of the image less a margin, px; how far a rod may be off sideways, m
         and px; logarithm of the usual step and of the rods' diameter, m.
     chosen : (R,) int64
         Written: track of each rod, NONE = none.
     indices : (R, n) int64
-        Written: mark of each border of the chosen track, NONE = none.
+        Written: mark of each edge of the chosen track, NONE = none.
 
     """
     total = 0.0

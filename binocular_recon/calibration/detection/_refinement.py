@@ -9,25 +9,25 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.calibration.detection._band_check import rod_ends
-from binocular_recon.calibration.detection._border_fit import BorderFit, fit_border
+from binocular_recon.calibration.detection._edge_fit import EdgeFit, fit_edge
 from binocular_recon.calibration.detection._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.target.board_plane import plane_marks
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# How far along the rod a border's fit looks: shares of the rod's width and of the spacing, px.
-REACH_WIDTHS, REACH_SPACING, LEAST_REACH_PX = 1.2, 0.45, 3.5
+# How far along the rod an edge's fit looks: shares of the rod's width and of the spacing, px.
+REACH_WIDTHS, REACH_SPACING, MIN_REACH_PX = 1.2, 0.45, 3.5
 # With something in front of the rod nearby it looks only this far, px.
 SHORT_REACH_PX = 2.5
-# Largest root mean square residual of a border, as a share of its step.
-LARGEST_RESIDUAL = 0.12
-# A border's step against the typical one of the board; levels of a band, as a share of the step.
-LEAST_STEP, LARGEST_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
+# Largest root mean square residual of an edge, as a share of its step.
+MAX_RESIDUAL = 0.12
+# An edge's step against the typical one of the board; levels of a band, as a share of the step.
+MIN_STEP, MAX_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
 # Marks of one rod fit their exact spacing to this, px, and to this share of the rod's length
 # (distortion); the usual error of a mark, px.
 STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
-# What a perfect fit of a border is off by: shading, pixels, blur that is no Gaussian, px.
+# What a perfect fit of an edge is off by: shading, pixels, blur that is no Gaussian, px.
 MODEL_SIGMA_PX = 0.022
 
 
@@ -71,7 +71,7 @@ def refine(
     scale = [np.mean(_px_per_m(board, rod)) for rod in predicted_px]
     widths = board.rod_diameter_m * np.repeat(np.array(scale)[:, None], board.marks_per_rod, 1)
     rods = _fit_sides(image, marks_px, predicted_px, widths)
-    first = _fit_borders(image, board, rods, marks_px, None, None)
+    first = _fit_edges(image, board, rods, marks_px, None, None)
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
         empty = np.full(marks_px.shape, np.nan)
@@ -83,7 +83,7 @@ def refine(
     if exact is not None:
         widths = board.rod_diameter_m * np.stack([_px_per_m(board, rod) for rod in exact])
     rods = _fit_sides(image, again, predicted_px, widths)
-    second = _fit_borders(image, board, rods, again, blur, curve)
+    second = _fit_edges(image, board, rods, again, blur, curve)
     _reject_odd_looking(second)
     marks = np.stack([_positions(row) for row in second])
     ends, levels = rod_ends(image, rods, second, levels)
@@ -95,7 +95,7 @@ def refine(
     return Refined(marks, sigma, ends_px, levels)
 
 
-def _positions(row: list[BorderFit | None]) -> FloatArray:
+def _positions(row: list[EdgeFit | None]) -> FloatArray:
     return np.array([(np.nan, np.nan) if fit is None else fit.point_px for fit in row])
 
 
@@ -118,16 +118,16 @@ def _fit_sides(
     return fit_rods(image, lines, everywhere[..., 1], width_px)
 
 
-def _fit_borders(
+def _fit_edges(
     image: FloatImage,
     board: RodBoard,
     rods: list[RodFit | None],
     marks_px: FloatArray,
     blur_px: float | None,
     curve: FloatArray | None,
-) -> list[list[BorderFit | None]]:
-    """Fit every border, looking less far along the rod where the far look does not fit."""
-    table: list[list[BorderFit | None]] = []
+) -> list[list[EdgeFit | None]]:
+    """Fit every edge, looking less far along the rod where the far look does not fit."""
+    table: list[list[EdgeFit | None]] = []
     for rod, marks in zip(rods, marks_px, strict=True):
         table.append([None] * len(marks))
         found = np.nonzero(np.isfinite(marks[:, 0]))[0].tolist()
@@ -138,23 +138,23 @@ def _fit_borders(
             bend = None if curve is None else float(curve @ [1.0, *marks[m]])
             middle, _, half = rod.place(marks[m, 1])
             if not half <= middle[0] <= image.shape[1] - 1 - half:
-                continue  # the frame cuts the rod lengthwise: one side does not tell the middle
+                continue  # cut lengthwise by the image border: one side does not give the middle
             width = 2 * half
-            table[-1][m] = _best_border(
+            table[-1][m] = _best_edge(
                 image, rod, marks[m, 1], _reach(board, m, scale, width), blur_px, bend
             )
     return table
 
 
-def _best_border(
+def _best_edge(
     image: FloatImage,
     rod: RodFit,
     y: float,
     reach: FloatArray,
     blur_px: float | None,
     curve: float | None,
-) -> BorderFit | None:
-    """Fit a border with its full reach, or with less below, above or on both sides."""
+) -> EdgeFit | None:
+    """Fit an edge with its full reach, or with less below, above or on both sides."""
     best = None
     short = np.minimum(reach, SHORT_REACH_PX)
     for below, above in (
@@ -163,17 +163,17 @@ def _best_border(
         (reach[0], short[1]),
         (short[0], short[1]),
     ):
-        fit = fit_border(image, rod, y, (below, above), blur_px, curve)
+        fit = fit_edge(image, rod, y, (below, above), blur_px, curve)
         if fit is None:
             continue
-        if fit.residual < LARGEST_RESIDUAL * abs(fit.above - fit.below):
+        if fit.residual < MAX_RESIDUAL * abs(fit.above - fit.below):
             return fit
         best = best or fit
     return best
 
 
 def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
-    """Return the scale of the picture along a rod at its marks, from their places (M, 2)."""
+    """Return the scale of the image along a rod at its marks, from their places (M, 2)."""
     if not np.isfinite(rod).all():
         return np.full(len(rod), np.nan)
     chord = rod[-1] - rod[0]
@@ -188,16 +188,16 @@ def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
 def _reach(board: RodBoard, mark: int, px_per_m: float, width_px: float) -> FloatArray:
     """Return how far to look below and above a mark, px."""
     gaps = np.diff(board.marks_m, prepend=0.0, append=2 * board.marks_m[-1] - board.marks_m[-2])
-    wanted = max(LEAST_REACH_PX, REACH_WIDTHS * width_px)
+    wanted = max(MIN_REACH_PX, REACH_WIDTHS * width_px)
     limits: FloatArray = np.minimum(wanted, REACH_SPACING * px_per_m * gaps[mark : mark + 2])
     return limits
 
 
-def _curve_model(fits: list[BorderFit]) -> FloatArray:
-    """Return the borders' curve as a linear function (1, x, y) of the place in the picture.
+def _curve_model(fits: list[EdgeFit]) -> FloatArray:
+    """Return the edges' curve as a linear function (1, x, y) of the place in the image.
 
     The curve is the sine of the angle at which the camera looks down on the rod: for parallel rods
-    nearly linear over the picture.
+    nearly linear over the image.
     """
     points = np.array([fit.point_px for fit in fits])
     curves = np.array([fit.curve for fit in fits])
@@ -208,15 +208,15 @@ def _curve_model(fits: list[BorderFit]) -> FloatArray:
     for _ in range(5):
         off = curves - design @ model
         w = weights / (1 + weights * off**2 / 9)
-        # a picture holds 60 degrees or so; the prior keeps few or narrow rods from running away
+        # an image holds 60 degrees or so; the prior keeps few or narrow rods from running away
         normal = design.T @ (w[:, None] * design) + np.diag([1 / 0.5**2, 1 / 0.1**2, 1 / 0.5**2])
         model = np.linalg.solve(normal, design.T @ (w * curves))
     slope = model[1:] / size
     return np.array([model[0] - slope @ middle, *slope])
 
 
-def _reject_odd_looking(table: list[list[BorderFit | None]]) -> None:
-    """Drop borders whose step, levels or residuals are not like the board's other ones."""
+def _reject_odd_looking(table: list[list[EdgeFit | None]]) -> None:
+    """Drop edges whose step, levels or residuals are not like the board's other ones."""
     levels = [_dark_and_light(m, fit) for row in table for m, fit in enumerate(row) if fit]
     if not levels:
         return
@@ -230,15 +230,15 @@ def _reject_odd_looking(table: list[list[BorderFit | None]]) -> None:
             step = own_light - own_dark
             off = max(abs(own_dark - dark), abs(own_light - light))
             if (
-                not LEAST_STEP * typical < step < LARGEST_STEP * typical
+                not MIN_STEP * typical < step < MAX_STEP * typical
                 or off > LEVEL_RANGE * typical
-                or fit.residual > LARGEST_RESIDUAL * step
+                or fit.residual > MAX_RESIDUAL * step
             ):
                 row[m] = None
 
 
-def _dark_and_light(mark: int, fit: BorderFit) -> tuple[float, float]:
-    """Return the levels of the bands that should be dark and light at a border."""
+def _dark_and_light(mark: int, fit: EdgeFit) -> tuple[float, float]:
+    """Return the levels of the bands that should be dark and light at an edge."""
     return (fit.below, fit.above) if mark % 2 == 0 else (fit.above, fit.below)
 
 

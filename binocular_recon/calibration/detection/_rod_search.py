@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look for rods: short borders of bands, strung along straight lines with the marks' spacing."""
+"""Look for rods: short edges of bands, strung along straight lines with the marks' spacing."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
-from binocular_recon.calibration.detection._border_kernels import (
+from binocular_recon.calibration.detection._edge_kernels import (
     NONE,
     STEP,
-    border_response,
+    edge_response,
     mark_peaks,
     string_rods,
 )
@@ -26,14 +26,14 @@ from binocular_recon.images import FloatImage
 # so together they cover 2.7 to 50 px.
 FILTER_WIDTHS_PX = (3.5, 5.5)
 LEVELS = 4
-# Borders kept at each width, the strongest; a forest or a gravel heap offers 50 000.
-MOST_BORDERS = 20_000
-# Tracks looked at: no picture holds more that can be told from clutter.
-MOST_TRACKS = 100
+# Edges kept at each width, the strongest; a forest or a gravel heap offers 50 000.
+MAX_EDGES = 20_000
+# Tracks looked at: no image holds more that can be told from clutter.
+MAX_TRACKS = 100
 
 
 class Track(NamedTuple):
-    """A straight row of borders that may be a rod.
+    """A straight row of edges that may be a rod.
 
     ``points_px`` (M, 2), NaN where the row has a gap; the marks' indices are a guess where their
     spacing repeats. ``steps`` (M,): light less dark, grey levels. ``width_px`` is that of the
@@ -52,8 +52,8 @@ class Track(NamedTuple):
         return present
 
 
-class Borders(NamedTuple):
-    """Borders of one filter width, sorted by cells of a grid."""
+class Edges(NamedTuple):
+    """Edges of one filter width, sorted by cells of a grid."""
 
     table: FloatArray
     first: npt.NDArray[np.int64]
@@ -68,7 +68,7 @@ def find_tracks(
     leans: tuple[float, ...] = (0.0,),
     known: Sequence[Track] = (),
 ) -> list[Track]:
-    """Return rows of borders that may be rods, the best first, each place once.
+    """Return rows of edges that may be rods, the best first, each place once.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def find_tracks(
     board : RodBoard
         Heights of the marks and the rods' diameter.
     threshold : float
-        Least step of a border, grey levels.
+        Least step of an edge, grey levels.
     leans : tuple of float
         Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and
         up to 20 on a quiet background.
@@ -119,28 +119,28 @@ def _upright_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list
         if min(level.shape) < 32:
             break
         for width in FILTER_WIDTHS_PX:
-            borders = _find_borders(level, width, threshold)
-            tracks += _string(borders, board, width, scale)
+            edges = _find_edges(level, width, threshold)
+            tracks += _string(edges, board, width, scale)
         level, scale = cv2.pyrDown(level), 2 * scale
     return tracks
 
 
-def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:
-    """Filter one pyramid level for borders on rods about ``width`` wide."""
-    # half sizes of the boxes on the rod and beside it, and their distances from the border
+def _find_edges(level: FloatImage, width: float, threshold: float) -> Edges:
+    """Filter one pyramid level for edges on rods about ``width`` wide."""
+    # half sizes of the boxes on the rod and beside it, and their distances from the edge
     mid, side, tall = round(0.25 * width), round(0.2 * width), max(1, round(0.35 * width))
     reach, rise = round(0.5 * width) + 1 + side, 1 + tall
     middle = cv2.blur(level, (2 * mid + 1, 2 * tall + 1))
     beside = cv2.blur(level, (2 * side + 1, 2 * tall + 1))
     response = np.zeros_like(level)
     peak = np.zeros(level.shape, np.bool_)
-    over_strips(border_response, len(level), middle, beside, rise, reach, response, strip=64)
+    over_strips(edge_response, len(level), middle, beside, rise, reach, response, strip=64)
     radius = max(1, round(width / 3))
     over_strips(mark_peaks, len(level), response, threshold, radius, peak, strip=64)
     y, x = np.nonzero(peak)
     size = np.abs(response[y, x])
-    if len(y) > MOST_BORDERS:
-        strongest = np.argpartition(-size, MOST_BORDERS)[:MOST_BORDERS]
+    if len(y) > MAX_EDGES:
+        strongest = np.argpartition(-size, MAX_EDGES)[:MAX_EDGES]
         y, x = y[strongest], x[strongest]
     above, below = middle[y - rise, x], middle[y + rise, x]
     levels = np.maximum(above, below), np.minimum(above, below)
@@ -150,21 +150,21 @@ def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:
     key = (y / cell).astype(np.int64) * (columns + 1) + (x / cell).astype(np.int64)
     order = np.argsort(key, kind='stable')
     first = np.searchsorted(key[order], np.arange(rows * (columns + 1)))
-    return Borders(table[order], first.reshape(rows, columns + 1), cell, middle)
+    return Edges(table[order], first.reshape(rows, columns + 1), cell, middle)
 
 
-def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> list[Track]:
-    """Return the tracks of one filter width in pixels of the whole picture."""
-    table = borders.table
+def _string(edges: Edges, board: RodBoard, width: float, scale: float) -> list[Track]:
+    """Return the tracks of one filter width in pixels of the whole image."""
+    table = edges.table
     chains = np.full((len(table), board.marks_per_rod), NONE)
     counts = np.zeros(len(table), np.int64)
     string_rods(
         table,
-        borders.first,
-        borders.cell_px,
+        edges.first,
+        edges.cell_px,
         board.marks_m,
         (width, width / board.rod_diameter_m),
-        borders.middle,
+        edges.middle,
         chains,
         counts,
     )
@@ -175,7 +175,7 @@ def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> li
     points = np.where(present[..., None], table[chosen, :2] * scale + (scale - 1) / 2, np.nan)
     steps = np.where(present, np.abs(table[chosen, STEP]), np.nan)
     scores = _scores(points, steps, present, board, width * scale)
-    best = np.argsort(-scores, kind='stable')[: 3 * MOST_TRACKS]
+    best = np.argsort(-scores, kind='stable')[: 3 * MAX_TRACKS]
     return [Track(points[i], steps[i], width * scale, float(scores[i])) for i in best]
 
 
@@ -207,7 +207,7 @@ def _each_place_once(tracks: list[Track]) -> list[Track]:
     """Drop tracks that lie on a better one's line."""
     kept: list[Track] = []
     # x at the top, slope, top, bottom and width of the lines kept
-    lines = np.empty((MOST_TRACKS, 5))
+    lines = np.empty((MAX_TRACKS, 5))
     for track in tracks:
         points = track.points_px[track.found]
         (x0, y0), (x1, y1) = points[-1], points[0]  # marks run from the foot up
@@ -221,6 +221,6 @@ def _each_place_once(tracks: list[Track]) -> list[Track]:
             continue
         lines[len(kept)] = x0, slope, y0, y1, track.width_px
         kept.append(track)
-        if len(kept) == MOST_TRACKS:
+        if len(kept) == MAX_TRACKS:
             break
     return kept

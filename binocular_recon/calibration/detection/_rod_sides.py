@@ -32,7 +32,7 @@ USUAL_BLUR_PX = 0.8
 ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 # Most that a step may change C0 and C1, as a share of the width.
 LINE_STEP = 0.33
-# What the rods of a picture have in common: their width against rod_diameter, S1, S2, blur (px)
+# What the rods of an image have in common: their width against rod_diameter, S1, S2, blur (px)
 # and how the lens bends them, amid the rods and its change over BEND_REACH_PX, in BEND_UNIT
 # (1 / px): what is expected, its standard deviation, and the most that one step may change.
 COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
@@ -41,22 +41,22 @@ COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
 OWN = 2
 # Rows of a rod that are fitted at most; neighbours tell much the same.
-MOST_ROWS = 160
-# Rows this near to a border are left out of the fit of the sides, px (and the rod's lean).
+MAX_ROWS = 160
+# Rows this near to an edge are left out of the fit of the sides, px (and the rod's lean).
 GUARD_PX = 2.5
 # Rows used beyond the outermost marks, as a share of a spacing.
 BEYOND = 0.3
 # Mean contrast of a rod's side, over dark and light bands, against the step between these.
-LEAST_CONTRAST = 0.25
+MIN_CONTRAST = 0.25
 # The rough lines of rods with a larger half width, px, are centred first on so many rows; a
 # contrast counts no more than this, grey levels.
-WIDE_PX, CENTRE_ROWS, MOST_CONTRAST = 4.0, 40, 60.0
+WIDE_PX, CENTRE_ROWS, MAX_CONTRAST = 4.0, 40, 60.0
 # Grey levels that a row may be off before it counts less, at least.
-LEAST_RESIDUAL = 2.0
+MIN_RESIDUAL = 2.0
 
 
 class RodFit(NamedTuple):
-    """A rod's middle line and width in the picture.
+    """A rod's middle line and width in the image.
 
     ``parameters`` as in ``_rod_fit_kernels``, for z = (y - y_middle) / y_scale.
     """
@@ -77,7 +77,7 @@ class RodFit(NamedTuple):
 def fit_rods(
     image: FloatImage,
     marks_px: list[FloatArray | None],
-    borders_y: FloatArray,
+    edges_y: FloatArray,
     width_px: FloatArray,
 ) -> list[RodFit | None]:
     """Fit the middle lines of a board's rods to their two sides.
@@ -92,8 +92,8 @@ def fit_rods(
         Grey levels.
     marks_px : list of (M, 2) float64 or None
         Rough positions of each rod's marks, NaN = unknown, at least two; None = no such rod.
-    borders_y : (R, M) float64
-        Rows of all borders, found or not, px.
+    edges_y : (R, M) float64
+        Rows of all edges, found or not, px.
     width_px : (R, M) float64
         Expected width across each rod at its marks, px.
 
@@ -105,13 +105,13 @@ def fit_rods(
     """
     places = [np.nanmean(marks[:, 0]) for marks in marks_px if marks is not None]
     sides = [
-        None if marks is None else _start(image, marks, borders, width, float(np.mean(places)))
-        for marks, borders, width in zip(marks_px, borders_y, width_px, strict=True)
+        None if marks is None else _start(image, marks, edges, width, float(np.mean(places)))
+        for marks, edges, width in zip(marks_px, edges_y, width_px, strict=True)
     ]
     seen = [side for side in sides if side is not None]
     common = COMMON_START.copy()
     for step in range(ROD_STEPS if seen else 0):
-        # a blurred model first: its edges reach farther
+        # a blurred model first: its sides reach farther
         systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
         change = np.zeros(len(common))
         if step >= LINE_STEPS:
@@ -161,7 +161,7 @@ class _Side:
         """Return whether both sides can be told from what is beside the rod.
 
         A background as dark as the dark bands is darker than the light ones, so that the mean
-        contrast of both kinds of band is half their step at least; at the border between two rows
+        contrast of both kinds of band is half their step at least; at the edge between two rows
         of a chessboard's squares it is nothing on one side.
         """
         seen = np.isfinite(self.rows[:, 3])
@@ -173,12 +173,12 @@ class _Side:
             np.average(level[kind], weights=weight[kind]) for kind in (~light, light)
         )
         for side, beside in ((-1.0, left), (1.0, right)):
-            edge = shading(side, common[1], common[2])
-            contrast = np.abs(edge * level - beside)
+            shade = shading(side, common[1], common[2])
+            contrast = np.abs(shade * level - beside)
             mean = np.mean(
                 [np.average(contrast[kind], weights=weight[kind]) for kind in (~light, light)]
             )
-            if mean < LEAST_CONTRAST * edge * (light_level - dark_level):
+            if mean < MIN_CONTRAST * shade * (light_level - dark_level):
                 return False
         return True
 
@@ -186,7 +186,7 @@ class _Side:
 def _start(
     image: FloatImage,
     marks: FloatArray,
-    borders_y: FloatArray,
+    edges_y: FloatArray,
     width_px: FloatArray,
     x_middle: float,
 ) -> _Side:
@@ -203,17 +203,17 @@ def _start(
     gap = float(np.median(np.abs(np.diff(known[:, 1]))))
     first, last = max(0, int(low - BEYOND * gap)), min(len(image) - 1, int(high + BEYOND * gap))
     y = np.arange(first, last + 1)
-    away = np.abs(y[:, None] - borders_y).min(1)
+    away = np.abs(y[:, None] - edges_y).min(1)
     y = y[away > GUARD_PX + 0.5 * width * np.sqrt(lean**2 - 1)]
-    y = y[:: len(y) // MOST_ROWS + 1]
+    y = y[:: len(y) // MAX_ROWS + 1]
     rows = np.zeros((len(y), 7))
     rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
-    band = (borders_y > y[:, None]).sum(1)
+    band = (edges_y > y[:, None]).sum(1)
     half = 0.5 * lean * np.array([width, taper])
     bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
     line = np.array([x0, slope])
     if half[0] > WIDE_PX:
-        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MOST_CONTRAST)
+        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MAX_CONTRAST)
     return _Side(line, half, bend, middle, scale, rows, band)
 
 
@@ -249,7 +249,7 @@ def _normal_equations(
     normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
     residual, weight = side.rows[:, 4], side.rows[:, 2]
     used = np.isfinite(residual) & (weight > 0)
-    variance = LEAST_RESIDUAL**2
+    variance = MIN_RESIDUAL**2
     if used.any():
         variance += float(np.average(residual[used] ** 2, weights=weight[used]))
     normal[range(OWN), range(OWN)] += 1e-6 * variance
@@ -262,12 +262,12 @@ def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
     seen = np.isfinite(residual)
     if not seen.any():
         return
-    typical = max(LEAST_RESIDUAL, float(np.median(residual[seen])))
+    typical = max(MIN_RESIDUAL, float(np.median(residual[seen])))
     weight = 1 / (1 + (residual / typical) ** 2) ** 2
     for light in (0, 1):
         same = seen & (band % 2 == light)
         if same.any():
             median = np.median(level[same])
-            spread = np.median(np.abs(level[same] - median)) + LEAST_RESIDUAL
+            spread = np.median(np.abs(level[same] - median)) + MIN_RESIDUAL
             weight[same] /= (1 + ((level[same] - median) / (3 * spread)) ** 2) ** 2
     rows[:, 2] = np.where(seen, weight, 0.0)

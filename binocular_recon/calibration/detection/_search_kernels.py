@@ -13,16 +13,16 @@ from binocular_recon.images import FloatImage
 SHIFT_STEP, SHIFTS = 0.18, 4
 # How far within and beyond a side its levels are taken, as a share of the half width.
 WITHIN = 0.35
-# How near the frame a mark may be, px.
-FRAME_PX = 1.0
+# How near the image border a mark may be, px.
+BORDER_PX = 1.0
 
-# Agreement of what is out of the picture.
+# Agreement of what is out of the image.
 OUTSIDE = -9.0
 
 
 @kernel
 def _level(image: FloatImage, x: float, y: int) -> float:
-    """Return the mean level of three pixels of a row; the frame's where it is outside."""
+    """Return the mean level of three pixels of a row; the border's where it is outside."""
     last = image.shape[1] - 2
     i = min(max(int(x + 0.5), 1), last)
     return float((image[y, i - 1] + image[y, i] + image[y, i + 1]) / 3)
@@ -79,14 +79,14 @@ def _agreement(
 ) -> float:
     """Return how well the levels above and below x, y agree with ``levels`` (below, above).
 
-    ``up`` reaches from the border to the middle of the band above. ``OUTSIDE`` there.
+    ``up`` reaches from the edge to the middle of the band above. ``OUTSIDE`` there.
     """
     height, width = middle.shape
     xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
     xb, yb = int(x - up[0] + 0.5), int(y - up[1] + 0.5)
-    # next to the frame the bands are short
+    # next to the image border the bands are short
     ya, yb = max(ya, 0), min(yb, height - 1)
-    if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
+    if not (BORDER_PX <= y <= height - 1 - BORDER_PX and BORDER_PX <= x <= width - 1 - BORDER_PX):
         return OUTSIDE
     if xa < 0 or xa >= width or xb < 0 or xb >= width:
         return OUTSIDE
@@ -118,7 +118,7 @@ def search_line(
     levels : (2,) float64
         Grey levels of dark and light bands.
     rises : (2,) float64
-        Distance from a border at which levels of ``middle`` and ``near`` are compared, px.
+        Distance from an edge at which levels of ``middle`` and ``near`` are compared, px.
     points, agreement : (M, 2), (M,) float64
         Written: the marks' places and how well their levels agree.
 
@@ -145,7 +145,7 @@ def search_line(
                     value = _agreement(
                         middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
                     )
-                    # what is out of the picture tells nothing
+                    # what is out of the image tells nothing
                     if value != OUTSIDE:
                         total += max(-0.5, value)
                 # equal scores: the smaller shift

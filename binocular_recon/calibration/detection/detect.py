@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the rods of a board in a picture and measure their marks below a pixel."""
+"""Find the rods of a board in an image and measure their marks below a pixel."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.calibration.detection._board_layout import Layout, identify
-from binocular_recon.calibration.detection._guided_search import LEAST_MARKS, Averaged, complete
+from binocular_recon.calibration.detection._guided_search import MIN_MARKS, Averaged, complete
 from binocular_recon.calibration.detection._identity import settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._rod_search import Track, find_tracks
@@ -22,21 +22,21 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
 
-# Smallest side of a picture that is searched, px.
-LEAST_SIZE_PX = 32
-# Grey levels between the darkest and the lightest part of a picture after stretching.
+# Smallest side of an image that is searched, px.
+MIN_SIZE_PX = 32
+# Grey levels between the darkest and the lightest part of an image after stretching.
 FULL_RANGE = 255.0
-# Least step of a border, in levels of the stretched picture and in standard deviations of noise.
-LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+# Least step of an edge, in levels of the stretched image and in standard deviations of noise.
+MIN_STEP, MIN_STEP_SIGMAS = 8.0, 4.0
 # With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
 ENOUGH = 0.6
 FURTHER_LEANS = (-0.22, 0.22)
 # Share of the marks that the only rod of a board must show.
 LONE_ROD_SHARE = 0.8
 # Arrangements of candidates looked at before giving up.
-MOST_LAYOUTS = 3
+MAX_LAYOUTS = 3
 # Identities adopted one after the other before giving up.
-MOST_IDENTITIES = 3
+MAX_IDENTITIES = 3
 NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
 AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
@@ -46,7 +46,7 @@ AMBIGUOUS = (
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """What was found of a board in one picture.
+    """What was found of a board in one image.
 
     Attributes
     ----------
@@ -72,12 +72,12 @@ class Detection:
 
 
 def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
-    """Find the rods of a board in a picture.
+    """Find the rods of a board in an image.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8 or uint16
-        Grey or BGR picture, not rectified.
+        Grey or BGR image, not rectified.
     board : RodBoard
         The rods.
 
@@ -89,13 +89,13 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
     Raises
     ------
     ImageError
-        If the picture's type or shape is another.
+        If the image's type or shape is another.
 
     """
     image = _checked(image)
     height, width = image.shape[:2]
-    best = _nothing(board, f'a picture of {width}x{height} px is too small for rods')
-    if min(height, width) < LEAST_SIZE_PX:
+    best = _nothing(board, f'an image of {width}x{height} px is too small for rods')
+    if min(height, width) < MIN_SIZE_PX:
         return best
     for attempt, (grey, tracks) in enumerate(_searches(image, board)):
         detection = _detect(grey, board, tracks)
@@ -109,7 +109,7 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
 def _searches(
     image: npt.NDArray[Any], board: RodBoard
 ) -> Iterator[tuple[FloatImage, list[Track]]]:
-    """Yield stretched pictures with what may be rods: upright ones, then leaning ones too."""
+    """Yield stretched images with what may be rods: upright ones, then leaning ones too."""
     upright = []
     for grey in _channels(image):
         stretched, threshold = _stretch(grey)
@@ -121,7 +121,7 @@ def _searches(
 
 
 def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection:
-    for _ in range(MOST_LAYOUTS):
+    for _ in range(MAX_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
             break
@@ -136,13 +136,13 @@ def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection
 def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | None:
     """Measure the marks of a layout and make sure which they are; None if it is no board."""
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
-    for _ in range(MOST_IDENTITIES):
+    for _ in range(MAX_IDENTITIES):
         refined = _measure(image, averaged, board, rough)
         if not _convincing(board, refined.marks_px):
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
-            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < LEAST_MARKS
+            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
             refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
             return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
         if identity is None:
@@ -186,21 +186,21 @@ def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
 
 
 def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a picture as (H, W) or (H, W, 3); raise an ImageError if it is none."""
+    """Return an image as (H, W) or (H, W, 3); raise an ImageError if it is none."""
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise ImageError(
-            f'a picture of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
+            f'an image of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
             f' {image.shape} {image.dtype}'
         )
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.ndim == 3 and image.shape[2] != 3:
-        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
+        raise ImageError(f'a colour image must have 3 channels, got {image.shape[2]}')
     return image
 
 
 def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
-    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
+    """Yield the grey images to search, as float32: luminance, then what painted bands differ in.
 
     The smallest of blue, green and red is low on every strong colour and high on white.
     """
@@ -213,8 +213,8 @@ def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
 
 
 def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
-    """Stretch a picture to the full range; return it and the least step of a border."""
-    # rods may fill no more than a thousandth of a picture; the mean of pixels hides a bad one
+    """Stretch an image to the full range; return it and the least step of an edge."""
+    # rods may fill no more than a thousandth of an image; the mean of pixels hides a bad one
     sample = cv2.resize(grey, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
     low, high = np.percentile(sample, (0.01, 99.99))
     gain = FULL_RANGE / max(float(high - low), 1e-3)
@@ -224,7 +224,7 @@ def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
     rows = stretched[::4]
     second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
-    return stretched, max(LEAST_STEP, LEAST_STEP_SIGMAS * min(noise, 10.0))
+    return stretched, max(MIN_STEP, MIN_STEP_SIGMAS * min(noise, 10.0))
 
 
 def _messages(marks_px: FloatArray) -> tuple[str, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board in a picture: where its marks must be, and whether it can stand there.
+"""A board in an image: where its marks must be, and whether it can stand there.
 
 The marks of rods in one line lie in a plane, which a homography maps. Rods off that line are
 moved into it first, by a pinhole camera that fits roughly (Terzakis and Lourakis 2020, SQPnP).
@@ -17,10 +17,10 @@ from binocular_recon.camera import FloatArray
 # Rods stand this far off their place at most, besides four of the board's own sigmas, m.
 ASTRAY_M = 0.06
 # Rods of a board differ in scale by less than this.
-MOST_SCALE = 4.0
+MAX_SCALE = 4.0
 # Rods off the row by less than this lie in its plane, m.
 FLAT_M = 1e-3
-# Focal lengths that cameras have, as shares of the picture's width.
+# Focal lengths that cameras have, as shares of the image's width.
 FOCAL_LENGTHS = np.geomspace(0.4, 5.0, 30)
 
 
@@ -38,7 +38,7 @@ def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
     """Return where the board that fits the marks found has every mark.
 
     (R, M, 2) float64, NaN behind the camera. None if fewer than two rods have two marks each.
-    ``size`` is width and height of the picture, px.
+    ``size`` is width and height of the image, px.
     """
     matrix = _camera(board, marks_px, size)
     if matrix is None:
@@ -52,7 +52,7 @@ def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
     known = length[found.any(1) & np.isfinite(length)]
     usual = np.median(known) if known.size else np.nan
     # beyond the vanishing point or so near that no rig sees it
-    far = ~((length > usual / MOST_SCALE) & (length < usual * MOST_SCALE))
+    far = ~((length > usual / MAX_SCALE) & (length < usual * MAX_SCALE))
     projected[far] = np.nan
     return projected
 
@@ -80,10 +80,10 @@ def predict_marks(
     return predicted
 
 
-def expected_in_picture(
+def expected_in_image(
     predicted_px: FloatArray, size: tuple[int, int], margin_px: float
 ) -> npt.NDArray[np.bool_]:
-    """Return which marks should be in the picture, (R, M) bool."""
+    """Return which marks should be in the image, (R, M) bool."""
     limit = np.array(size) - 1 - margin_px
     with np.errstate(invalid='ignore'):
         inside: npt.NDArray[np.bool_] = np.all(
@@ -97,7 +97,7 @@ def slant(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> float
 
     The larger of the cosine between rods and row and the logarithm of their scales' ratio, both
     in space, with the focal length that suits best (Zhang 2000, eq. 3 and 4, square pixels and
-    the principal point amid the picture). Placing errors and noise make it 0.05 or so. 0 if too
+    the principal point amid the image). Placing errors and noise make it 0.05 or so. 0 if too
     little is found to tell.
     """
     matrix = _camera(board, marks_px, size)
@@ -116,7 +116,7 @@ def fit_camera(
     pixels : (N, 2) float64
         Their images, px.
     size : (int, int)
-        Width and height of the picture, px.
+        Width and height of the image, px.
 
     """
     camera: FloatArray = np.eye(3, 4)
@@ -174,7 +174,7 @@ def _row_points(board: RodBoard) -> FloatArray:
 
 
 def _centred(plane: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return a homography to pixels from the middle of the picture, in shares of its width."""
+    """Return a homography to pixels from the middle of the image, in shares of its width."""
     width, height = size
     centred = plane[:2] - 0.5 * np.array([[width - 1], [height - 1]]) * plane[2]
     return np.concatenate([centred / width, plane[2:]])

@@ -23,7 +23,7 @@ REQUIRED_KEYS = ('rods', 'marks', 'rod_diameter', 'placement_sigma')
 OPTIONAL_KEYS = ('mark_type', 'height_sigma', 'tilt_sigma')
 MARK_TYPES = ('band_edge',)
 # No survey rod is longer; a larger number is almost surely in millimetres.
-LONGEST_ROD_M = 20.0
+MAX_ROD_LENGTH_M = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class RodBoard:
     tilt_sigma_rad : float
         One standard deviation of a rod's tilt about x and about z, rad.
     mark_type : str
-        ``band_edge``: marks are borders of dark and light bands, dark below the first mark.
+        ``band_edge``: marks are edges of dark and light bands, dark below the first mark.
 
     Raises
     ------
@@ -98,16 +98,16 @@ class RodBoard:
         if marks.size < 2:
             raise CalibrationError(
                 f'marks must hold at least 2 heights per rod, got {marks.size};'
-                ' list every border between a dark and a light band'
+                ' list every edge between a dark and a light band'
             )
         if not np.isfinite(marks).all() or (np.diff(marks) <= 0).any():
             raise CalibrationError(
                 f'marks must increase from the foot up, got {marks.tolist()}; sort them and'
                 ' remove repeated ones'
             )
-        if not marks[0] > 0 or not marks[-1] <= LONGEST_ROD_M:
+        if not marks[0] > 0 or not marks[-1] <= MAX_ROD_LENGTH_M:
             raise CalibrationError(
-                f'marks must be heights above the foot within 0..{LONGEST_ROD_M:g} m, got'
+                f'marks must be heights above the foot within 0..{MAX_ROD_LENGTH_M:g} m, got'
                 f' {marks[0]:g}..{marks[-1]:g}; are they in metres?'
             )
         if not 0 < self.rod_diameter_m <= marks[-1] - marks[0]:
@@ -266,12 +266,12 @@ def row_of(places_m: FloatArray) -> FloatArray:
     return np.stack([along, off - off.mean()], -1)
 
 
-def visible_borders(
+def visible_edges(
     marks_xyz: FloatArray, direction_xyz: FloatArray, centre_xyz: FloatArray, radius_m: float
 ) -> FloatArray:
-    """Return the point of each mark's border that faces the camera.
+    """Return the point of each mark's edge that faces the camera.
 
-    A border of a band is a ring around the rod; what a camera sees on the rod's centre line is
+    An edge of a band is a ring around the rod; what a camera sees on the rod's centre line is
     the ring's point nearest to it, not the axis.
 
     Parameters

@@ -28,7 +28,7 @@ class Target:
     sigmas : (5,) float64
         One standard deviation of each of ``DEVIATIONS``; 0 = exact.
     radius_m : float
-        Radius of the rods, m: borders are seen on the surface that faces the camera.
+        Radius of the rods, m: edges are seen on the surface that faces the camera.
 
     """
 

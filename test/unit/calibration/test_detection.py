@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rod detection on ray-cast pictures: what is found, how exactly, and what is refused."""
+"""Rod detection on ray-cast images: what is found, how exactly, and what is refused."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def board_of(
     )
 
 
-def picture(
+def image_of(
     board: RodBoard,
     translation: tuple[float, float, float],
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0),
     background: float = 110.0,
     **paint: Any,
 ) -> tuple[np.ndarray[Any, Any], PlacedBoard]:
-    """Return a picture of a board before a plain wall, and the board."""
+    """Return an image of a board before a plain wall, and the board."""
     rng = np.random.default_rng(5)
     placed = place_board(board, np.array(rotation), np.array(translation), rng)
     canvas = np.full((1200, 1920, 3), background, np.float32)
@@ -59,12 +59,12 @@ def picture(
 
 def errors(image: np.ndarray[Any, Any], placed: PlacedBoard) -> np.ndarray[Any, Any]:
     detection = detect_rods(image, placed.board)
-    error: np.ndarray[Any, Any] = detection.marks_px - placed.borders_px(LEFT)
+    error: np.ndarray[Any, Any] = detection.marks_px - placed.marks_px(LEFT)
     return error
 
 
 def test_plain_board_is_measured_to_hundredths() -> None:
-    image, placed = picture(paper_board(), (0.2, 1.2, 8.0), (0.05, 0.4, 0.1))
+    image, placed = image_of(paper_board(), (0.2, 1.2, 8.0), (0.05, 0.4, 0.1))
     error = errors(image, placed)
     assert np.isfinite(error).all()
     assert np.sqrt(np.mean(error**2)) < 0.04
@@ -77,12 +77,12 @@ def test_plain_board_is_measured_to_hundredths() -> None:
 
 @pytest.mark.parametrize('sun', [(0.95, -0.3, 0.0), (-0.95, -0.3, 0.0), (0.1, -0.2, -0.97)])
 def test_light_from_the_side_does_not_shift_the_middle(sun: tuple[float, float, float]) -> None:
-    """A fit of plain edges is off by 0.2 px here."""
-    image, placed = picture(paper_board(), (0.2, 1.2, 13.0), sun_xyz=sun, ambient=0.5)
+    """A fit of plain sides is off by 0.2 px here."""
+    image, placed = image_of(paper_board(), (0.2, 1.2, 13.0), sun_xyz=sun, ambient=0.5)
     assert abs(np.nanmean(errors(image, placed)[..., 0])) < 0.04
 
 
-def test_clutter_occlusion_frame_and_tilt(shared_data: Path) -> None:
+def test_clutter_occlusion_border_and_tilt(shared_data: Path) -> None:
     """The figures of a large run, on few boards; the command's --evaluate option runs more."""
     photographs = tuple(
         read_image_file(shared_data / 'poles' / f'{name}.jpg') for name in ('c1_pole1', 'c3_pole2')
@@ -115,7 +115,7 @@ def test_clutter_occlusion_frame_and_tilt(shared_data: Path) -> None:
 def test_any_number_of_rods_and_any_spacing(
     rods: list[float], marks: list[float], diameter: float, depth: float
 ) -> None:
-    image, placed = picture(board_of(rods, marks, diameter), (0.0, 1.1, depth), (0.05, 0.3, 0.05))
+    image, placed = image_of(board_of(rods, marks, diameter), (0.0, 1.1, depth), (0.05, 0.3, 0.05))
     error = errors(image, placed)
     assert np.isfinite(error).all()
     assert np.abs(error).max() < 0.25
@@ -134,8 +134,8 @@ def test_rods_off_their_row_keep_their_identity(
 ) -> None:
     """Seen from the side they stand elsewhere along the row, rods 3 and 4 like 4 and 5."""
     board = board_of(list(zip(np.arange(5) * 0.6, z, strict=True)), [0.3 * i for i in range(1, 7)])
-    image, placed = picture(board, (0.0, 1.1, 8.0), (0.05, yaw, 0.0))
-    truth = placed.borders_px(LEFT)
+    image, placed = image_of(board, (0.0, 1.1, 8.0), (0.05, yaw, 0.0))
+    truth = placed.marks_px(LEFT)
     expected = np.ones((5, 6), np.bool_)
     if hidden is not None:
         x = int(truth[hidden, :, 0].mean())
@@ -148,7 +148,7 @@ def test_rods_off_their_row_keep_their_identity(
 
 @pytest.mark.parametrize('roll_deg', [-20.0, -12.0, 12.0, 20.0])
 def test_rods_leaning_up_to_20_degrees(roll_deg: float) -> None:
-    image, placed = picture(
+    image, placed = image_of(
         paper_board(), (0.0, 1.0, 8.0), (0.0, 0.2, float(np.deg2rad(roll_deg)))
     )
     error = errors(image, placed)
@@ -157,7 +157,7 @@ def test_rods_leaning_up_to_20_degrees(roll_deg: float) -> None:
 
 
 def test_red_and_white_8_and_16_bits_grey_and_dark() -> None:
-    image, placed = picture(paper_board(), (0.0, 1.2, 9.0), dark_bgr=(40.0, 35.0, 190.0))
+    image, placed = image_of(paper_board(), (0.0, 1.2, 9.0), dark_bgr=(40.0, 35.0, 190.0))
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     for other in (image, grey, grey[..., None], grey.astype(np.uint16) * 40, grey // 3):
         error = errors(other, placed)
@@ -168,7 +168,7 @@ def test_red_and_white_8_and_16_bits_grey_and_dark() -> None:
 def test_bands_that_differ_in_colour_only() -> None:
     """Red and grey of one luminance: seen in the smallest channel."""
     red, grey = (20.0, 20.0, 222.0), (80.0, 80.0, 80.0)
-    image, placed = picture(
+    image, placed = image_of(
         paper_board(), (0.0, 1.2, 9.0), background=180.0, dark_bgr=red, light_bgr=grey
     )
     assert np.isfinite(errors(image, placed)).all()
@@ -176,8 +176,8 @@ def test_bands_that_differ_in_colour_only() -> None:
 
 def test_hidden_marks_are_not_invented() -> None:
     """A plate with edges right on the spacing hides two marks of a rod; the rest is found."""
-    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
-    truth = placed.borders_px(LEFT)
+    image, placed = image_of(paper_board(), (0.0, 1.2, 8.0))
+    truth = placed.marks_px(LEFT)
     x0, y0 = (truth[2, 3] - (25, 8)).astype(int)
     x1, y1 = (truth[2, 2] + (25, 12)).astype(int)
     image[y0:y1, x0:x1] = 35
@@ -192,18 +192,18 @@ def test_hidden_marks_are_not_invented() -> None:
 @pytest.mark.parametrize('marks', [0, 1])
 def test_missing_rod_is_named(marks: int) -> None:
     """A lone mark has nothing that vouches for it."""
-    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
-    x, y = placed.borders_px(LEFT)[2, -1].astype(int)
+    image, placed = image_of(paper_board(), (0.0, 1.2, 8.0))
+    x, y = placed.marks_px(LEFT)[2, -1].astype(int)
     image[marks * (y + 15) :, x - 15 : x + 16] = 110
     detection = detect_rods(image, placed.board)
     assert detection.messages == ('rod 3 of 5 not found', '24 of 30 marks')
-    assert np.nanmax(np.abs(detection.marks_px - placed.borders_px(LEFT))) < 0.3
+    assert np.nanmax(np.abs(detection.marks_px - placed.marks_px(LEFT))) < 0.3
 
 
-def test_rods_cut_by_the_frame_keep_their_identity() -> None:
-    """Two of five rods are out of the picture to the left."""
-    image, placed = picture(paper_board(), (-4.3, 1.2, 8.0))
-    truth = placed.borders_px(LEFT)
+def test_rods_cut_by_the_image_border_keep_their_identity() -> None:
+    """Two of five rods are out of the image to the left."""
+    image, placed = image_of(paper_board(), (-4.3, 1.2, 8.0))
+    truth = placed.marks_px(LEFT)
     detection = detect_rods(image, placed.board)
     seen = (truth[..., 0] > 3) & (truth[..., 0] < 1916)
     assert 6 <= seen.sum() <= 24
@@ -213,8 +213,8 @@ def test_rods_cut_by_the_frame_keep_their_identity() -> None:
 
 def test_what_cannot_be_told_is_refused() -> None:
     """An end rod is hidden and there is room for one at either end: two readings."""
-    image, placed = picture(paper_board(), (0.0, 1.2, 8.0))
-    x = placed.borders_px(LEFT)[0, :, 0].mean()
+    image, placed = image_of(paper_board(), (0.0, 1.2, 8.0))
+    x = placed.marks_px(LEFT)[0, :, 0].mean()
     image[:, int(x) - 15 : int(x) + 16] = 110
     detection = detect_rods(image, placed.board)
     assert not detection.found.any()
@@ -224,8 +224,8 @@ def test_what_cannot_be_told_is_refused() -> None:
 def test_three_rods_side_by_side_are_not_every_other_rod() -> None:
     """Two rods are partly hidden; the others look like 1, 3 and 5 of a board turned more."""
     board = paper_board()
-    image, placed = picture(board, (0.0, 1.2, 8.0), (0.0, 0.9, 0.0))
-    truth = placed.borders_px(LEFT)
+    image, placed = image_of(board, (0.0, 1.2, 8.0), (0.0, 0.9, 0.0))
+    truth = placed.marks_px(LEFT)
     x0, y0 = truth[:2, 2].min(0).astype(int) - 14
     x1, y1 = truth[:2, 1].max(0).astype(int) + 14
     image[y0:y1, x0:x1] = 70
@@ -240,19 +240,19 @@ def test_three_rods_side_by_side_are_not_every_other_rod() -> None:
 
 
 def test_chessboard_is_no_board() -> None:
-    """It looks more like five rods than the rods do, until its borders are measured."""
-    image, placed = picture(paper_board(), (0.2, 1.2, 8.0))
+    """It looks more like five rods than the rods do, until its edges are measured."""
+    image, placed = image_of(paper_board(), (0.2, 1.2, 8.0))
     rows, columns = np.mgrid[:300, :210] // 30
     image[100:400, 100:310] = np.where((rows + columns) % 2, 20, 235)[..., None]
     detection = detect_rods(image, placed.board)
     assert detection.found.all()
-    assert np.abs(detection.marks_px - placed.borders_px(LEFT)).max() < 0.3
+    assert np.abs(detection.marks_px - placed.marks_px(LEFT)).max() < 0.3
 
 
 def test_feet_on_snow_are_no_marks() -> None:
     """With the tops hidden as well, feet and marks would fit the board shifted by two."""
-    image, placed = picture(paper_board(), (0.0, 1.2, 8.0), background=225.0)
-    truth = placed.borders_px(LEFT)
+    image, placed = image_of(paper_board(), (0.0, 1.2, 8.0), background=225.0)
+    truth = placed.marks_px(LEFT)
     for top in (0, 4):
         hidden = image.copy()
         x0, y0 = truth[:, top:].min((0, 1)).astype(int) - 20
@@ -265,12 +265,12 @@ def test_feet_on_snow_are_no_marks() -> None:
 
 
 def test_rods_do_not_stand_on_steps() -> None:
-    """Two rods, one at marks 3 to 5 instead of 1 to 3: as in a picture of stairs."""
+    """Two rods, one at marks 3 to 5 instead of 1 to 3: as in an image of stairs."""
     board = board_of([0.0, 1.2], [0.3, 0.6, 0.9, 1.2, 1.5, 1.8])
     placed = place_board(
         board, np.array([0.0, 0.7, 0.1]), np.array([0.5, 1.2, 12.0]), np.random.default_rng(0)
     )
-    marks = placed.borders_px(LEFT)
+    marks = placed.marks_px(LEFT)
     assert slant(board, marks, LEFT.camera.size) < 0.1
     marks[0, 2:] = marks[0, :4]
     marks[0, :2] = np.nan
@@ -292,7 +292,7 @@ def test_no_rods_no_marks() -> None:
 
 def test_wrong_rods_file_gives_no_wrong_marks() -> None:
     """Seven rods of eight marks are sought where five of six stand."""
-    image, _ = picture(paper_board(), (0.0, 1.2, 8.0))
+    image, _ = image_of(paper_board(), (0.0, 1.2, 8.0))
     other = board_of([0.35 * i for i in range(7)], [0.3 + 0.17 * i for i in range(8)])
     assert detect_rods(image, other).found.sum() < 12
 
@@ -311,7 +311,7 @@ def test_clutter_alone_has_no_board() -> None:
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (1, 200), (31, 500), (33, 64, 3)])
-def test_tiny_pictures_hold_no_board(shape: tuple[int, ...]) -> None:
+def test_tiny_images_hold_no_board(shape: tuple[int, ...]) -> None:
     detection = detect_rods(np.zeros(shape, np.uint8), paper_board())
     assert not detection.found.any()
     small = min(shape[:2]) < 32
@@ -326,6 +326,6 @@ def test_tiny_pictures_hold_no_board(shape: tuple[int, ...]) -> None:
         (np.zeros((20, 20, 4), np.uint8), 'must have 3 channels, got 4'),
     ],
 )
-def test_other_pictures_are_refused(image: np.ndarray[Any, Any], message: str) -> None:
+def test_other_images_are_refused(image: np.ndarray[Any, Any], message: str) -> None:
     with pytest.raises(ImageError, match=message):
         detect_rods(image, paper_board())

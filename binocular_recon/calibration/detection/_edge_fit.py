@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit one border between two bands of a rod to grey levels, below a pixel."""
+"""Fit one edge between two bands of a rod to grey levels, below a pixel."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from binocular_recon.calibration.detection._rod_fit_kernels import (
     ABOVE,
     BELOW,
     BLUR,
-    BORDER_PARAMETERS,
     CURVE,
+    EDGE_PARAMETERS,
     LEFT,
     RIGHT,
     S1,
     S2,
     T0,
-    accumulate_border,
+    accumulate_edge,
 )
 from binocular_recon.calibration.detection._rod_sides import USUAL_BLUR_PX, RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-BORDER_STEPS = 8
+EDGE_STEPS = 8
 
 
-class BorderFit(NamedTuple):
-    """One border: position, grey levels below and above it, curve, blur, quality.
+class EdgeFit(NamedTuple):
+    """One edge: position, grey levels below and above it, curve, blur, quality.
 
     ``residual`` is the root mean square residual, grey levels; ``sigma_px`` one standard deviation
     along the rod as the residuals suggest; ``curve_weight`` the information on ``curve``.
@@ -44,15 +44,15 @@ class BorderFit(NamedTuple):
     curve_weight: float
 
 
-def fit_border(
+def fit_edge(
     image: FloatImage,
     rod: RodFit,
     y: float,
     reach_px: tuple[float, float],
     blur_px: float | None,
     curve: float | None = None,
-) -> BorderFit | None:
-    """Fit one border between two bands.
+) -> EdgeFit | None:
+    """Fit one edge between two bands.
 
     Parameters
     ----------
@@ -61,61 +61,61 @@ def fit_border(
     rod : RodFit
         The rod.
     y : float
-        Row near which the border crosses the rod's middle, px.
+        Row near which the edge crosses the rod's middle, px.
     reach_px : tuple of float
-        How far below and above the border to look along the rod, px.
+        How far below and above the edge to look along the rod, px.
     blur_px : float or None
         Standard deviation of the blur; None = fit it.
     curve : float or None
-        Sine of the angle under which the camera looks down on the border (it bends by this share
+        Sine of the angle under which the camera looks down on the edge (it bends by this share
         of the rod's half width); None = fit it.
 
     Returns
     -------
-    BorderFit or None
-        None if too little of the border is in the picture or the fit runs away.
+    EdgeFit or None
+        None if too little of the edge is in the image or the fit runs away.
 
     """
     middle, up, half = rod.place(y)
     share = min(0.9, max(0.4, (half - 0.6) / half)) if half > 0 else 0.0
-    frame = np.array([*middle, *up, half, share, *reach_px])
+    window = np.array([*middle, *up, half, share, *reach_px])
     shade = rod.parameters[[S1, S2]]
-    border = np.zeros(BORDER_PARAMETERS)
-    border[CURVE] = curve or 0.0
-    border[BLUR] = blur_px or USUAL_BLUR_PX
-    n = BORDER_PARAMETERS
-    for step in range(BORDER_STEPS):
+    edge = np.zeros(EDGE_PARAMETERS)
+    edge[CURVE] = curve or 0.0
+    edge[BLUR] = blur_px or USUAL_BLUR_PX
+    n = EDGE_PARAMETERS
+    for step in range(EDGE_STEPS):
         normal, gradient = np.zeros((n, n)), np.zeros(n)
-        square, count = accumulate_border(image, frame, shade, border, normal, gradient)
+        square, count = accumulate_edge(image, window, shade, edge, normal, gradient)
         if count < 6:
             return None
-        contrast = (border[ABOVE] - border[BELOW]) ** 2
+        contrast = (edge[ABOVE] - edge[BELOW]) ** 2
         stiff = np.full(n, 1e-6)
-        target = border.copy()
+        target = edge.copy()
         # the curve is known to about 0.3, the blur to about 0.3 px
         noise = max(square / count, 1.0)
         stiff[CURVE] = 1e12 if curve is not None or step < 2 else noise / 0.3**2
         stiff[BLUR] = 1e12 if blur_px is not None or step < 3 else noise / 0.3**2
         # what is left and right is between black and white
         stiff[LEFT] = stiff[RIGHT] = noise / 100.0**2
-        target[LEFT] = target[RIGHT] = 0.5 * (border[BELOW] + border[ABOVE])
+        target[LEFT] = target[RIGHT] = 0.5 * (edge[BELOW] + edge[ABOVE])
         target[CURVE] = curve or 0.0
         target[BLUR] = blur_px or USUAL_BLUR_PX
-        change = np.linalg.solve(normal + np.diag(stiff), gradient + stiff * (target - border))
+        change = np.linalg.solve(normal + np.diag(stiff), gradient + stiff * (target - edge))
         change[T0] = np.clip(change[T0], -1.0, 1.0)
         change[BLUR] = np.clip(change[BLUR], -0.2, 0.2)
-        border = border + change
-        border[BLUR] = max(border[BLUR], 0.3)
-        if abs(border[T0]) > min(reach_px) or contrast > 1e8:
+        edge = edge + change
+        edge[BLUR] = max(edge[BLUR], 0.3)
+        if abs(edge[T0]) > min(reach_px) or contrast > 1e8:
             return None
     variance = square / max(count - 3, 1)
     covariance = np.linalg.inv(normal + np.diag(stiff))
-    return BorderFit(
-        middle + border[T0] * up,
-        float(border[BELOW]),
-        float(border[ABOVE]),
-        float(border[CURVE]),
-        float(border[BLUR]),
+    return EdgeFit(
+        middle + edge[T0] * up,
+        float(edge[BELOW]),
+        float(edge[ABOVE]),
+        float(edge[CURVE]),
+        float(edge[BLUR]),
         float(np.sqrt(square / count)),
         float(np.sqrt(variance * covariance[T0, T0])),
         float(1 / (variance * covariance[CURVE, CURVE])),
