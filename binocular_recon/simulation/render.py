@@ -30,7 +30,7 @@ class RodPaint:
     Attributes
     ----------
     dark_bgr, light_bgr : tuple of float
-        Colours of the bands, dark below the first mark.
+        Colours of the dark and the light bands.
     length_m : float
         Foot to top.
     sun_xyz : tuple of float
@@ -134,13 +134,14 @@ def draw_rods(canvas: Canvas, view: View, placed: PlacedBoard, paint: RodPaint) 
     directions = placed.directions_xyz @ view.R.T
     sun = view.R @ np.array(paint.sun_xyz)
     colors = np.array([paint.dark_bgr, paint.light_bgr])
-    radius = placed.board.rod_diameter_m / 2
+    board = placed.board
+    radius = board.rod_diameter_m / 2
     for i in np.argsort(-feet[:, 2]):
         spans = _spans(view.camera, feet[i], directions[i], paint.length_m, radius)
         rod = np.concatenate(
             [feet[i], directions[i], sun, [radius, paint.length_m, paint.ambient, paint.grime, i]]
         )
-        draw_cylinder(canvas, spans, view.numbers, rod, placed.board.marks_m, colors)
+        draw_cylinder(canvas, spans, view.numbers, rod, board.marks_m, board.light_bands, colors)
 
 
 def expose(canvas: Canvas, sensor: Sensor, rng: np.random.Generator) -> ByteImage:

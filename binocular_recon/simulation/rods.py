@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.target.rods import RodBoard, visible_edges
+from binocular_recon.calibration.target.mark_types import visible_edges
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.simulation.rig import RawRig, View
@@ -51,16 +52,13 @@ class PlacedBoard:
         return marks
 
     def marks_px(self, view: View) -> FloatArray:
-        """Return where ``view`` sees the edges of the bands: (R, M, 2) float64, px.
-
-        The point is the edge's on the surface facing the camera; it may lie out of the image.
-        """
+        """Return where ``view`` sees the marks, inside the image or not: (R, M, 2) float64, px."""
         return view.project(
             visible_edges(
                 self.marks_xyz(),
                 self.directions_xyz[:, None],
                 view.centre_xyz,
-                self.board.rod_diameter_m / 2,
+                self.board.mark_offset_m,
             )
         )
 

@@ -27,6 +27,7 @@ def rod_ends(
     image: FloatImage,
     rods: list[RodFit | None],
     table: list[list[EdgeFit | None]],
+    light_bands: Mask,
     usual: FloatArray | None,
 ) -> tuple[Mask, FloatArray]:
     """Return which edges have a band of the rod on one side only.
@@ -38,7 +39,9 @@ def rod_ends(
     rods : list of RodFit or None
         Middle lines and widths of the rods.
     table : list of list of EdgeFit or None
-        Edges of each rod, None = not found; below the first one it is dark.
+        Edges of each rod, None = not found.
+    light_bands : (M + 1,) bool
+        Which bands are light, from the lowest up.
     usual : (2,) float64 or None
         Levels of dark and light bands; None = those of these edges.
 
@@ -57,7 +60,7 @@ def rod_ends(
             if rod is not None and fit is not None:
                 levels[r, m] = _levels(image, rod, fit)
     on, beside = levels[..., 0], levels[..., 1]
-    light = (np.arange(found.shape[1])[:, None] + np.arange(2)) % 2 == 1
+    light = np.stack([light_bands[:-1], light_bands[1:]], -1)
     if usual is None:
         kinds = (on[:, kind] for kind in (~light, light))
         usual = np.array([np.nanmedian(k) if np.isfinite(k).any() else np.nan for k in kinds])

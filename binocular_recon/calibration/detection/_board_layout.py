@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from binocular_recon.calibration.detection._layout_kernels import NONE, score_layout
 from binocular_recon.calibration.detection._rod_search import Track
 from binocular_recon.calibration.target.board_plane import lateral_limit_m
+from binocular_recon.calibration.target.mark_types import PERIOD
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 
@@ -34,6 +36,19 @@ class Anchor(NamedTuple):
 
     track: int
     ends: FloatArray  # bottom and top x, y, px per metre: (5,)
+
+
+class Hypothesis(NamedTuple):
+    """Two tracks taken as two rods, from which follows where the others must be.
+
+    ``ends`` (2, 5) of the two anchors, ``rods`` which they are, ``tracks`` those that may be rods
+    of the board, ``limits`` (6,) as score_layout takes them. The only rod of a board stands twice.
+    """
+
+    ends: FloatArray
+    rods: tuple[int, int]
+    tracks: slice
+    limits: FloatArray
 
 
 class Layout(NamedTuple):
@@ -71,10 +86,9 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
         anchor for i, track in enumerate(tracks[:ANCHORS]) for anchor in _anchors(i, track, board)
     ]
     tracks = tracks[:CANDIDATES]
-    table = _edge_table(tracks)
+    table = _edge_table(tracks, board)
     looks = np.array([_looks(track) for track in tracks])
-    search = _best_single if board.count == 1 else _best_pair
-    best = search(anchors, table, looks, board, size)
+    best = _best(_hypotheses(anchors, looks, board, size), table, looks, board)
     if best is None:
         return None
     chosen, indices = best
@@ -87,23 +101,23 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
     return Layout(marks, float(np.median(widths)), frozenset(chosen.tolist()) - {NONE})
 
 
-def _edge_table(tracks: list[Track]) -> FloatArray:
-    """Return x, y and sign of the tracks' edges: (T, M, 3), NaN = none."""
-    table = np.full((len(tracks), len(tracks[0].points_px) if tracks else 0, 3), np.nan)
+def _edge_table(tracks: list[Track], board: RodBoard) -> FloatArray:
+    """Return x, y and sign of the tracks' edges: (T, M, 3), NaN = none; positive: dark below."""
+    table = np.full((len(tracks), board.marks_per_rod if tracks else 0, 3), np.nan)
     for t, track in enumerate(tracks):
         table[t, :, :2] = track.points_px
-        table[t, ::2, 2], table[t, 1::2, 2] = 1, -1
+        table[t, :, 2] = np.where(board.dark_below, 1, -1)
     return table
 
 
 def _anchors(index: int, track: Track, board: RodBoard) -> list[Anchor]:
-    """Return the ways in which a track's marks may be the board's: shifted by pairs of marks.
+    """Return the ways in which a track's marks may be the board's: shifted by whole periods.
 
     One edge may fall off: a foot on light ground or a top before the sky looks like one.
     """
     heights, edges = board.marks_m, np.nonzero(track.found)[0]
     ways = []
-    for shift in range(-(len(heights) // 2) * 2, len(heights), 2):
+    for shift in range(-(len(heights) // PERIOD) * PERIOD, len(heights), PERIOD):
         found = edges[(edges + shift >= 0) & (edges + shift < len(heights))]
         if len(found) < max(2, len(edges) - 1):
             continue
@@ -142,18 +156,17 @@ def _limits(board: RodBoard, size: tuple[int, int], step: float) -> FloatArray:
     )
 
 
-def _best_pair(
-    anchors: list[Anchor],
-    table: FloatArray,
-    looks: FloatArray,
-    board: RodBoard,
-    size: tuple[int, int],
-) -> tuple[IntArray, IntArray] | None:
-    """Try every two tracks as every two rods; return tracks and marks of the best board."""
+def _hypotheses(
+    anchors: list[Anchor], looks: FloatArray, board: RodBoard, size: tuple[int, int]
+) -> Iterator[Hypothesis]:
+    """Yield every two tracks as every two rods; of a board with one rod, every track alone."""
+    if board.count == 1:
+        for anchor in anchors:
+            ends = np.stack([anchor.ends, anchor.ends])
+            only = slice(anchor.track, anchor.track + 1)
+            yield Hypothesis(ends, (0, 0), only, _limits(board, size, looks[anchor.track, 1]))
+        return
     row = board.row_m
-    best, best_score = None, 0.0
-    chosen = np.empty(board.count, np.int64)
-    indices = np.empty((board.count, table.shape[1]), np.int64)
     for one, other in combinations(anchors, 2):
         left, right = (one, other) if one.ends[0] < other.ends[0] else (other, one)
         scale = np.sqrt(left.ends[4] * right.ends[4])
@@ -169,37 +182,26 @@ def _best_pair(
         step = 0.5 * (looks[left.track, 1] + looks[right.track, 1])
         limits = _limits(board, size, step)
         for rods in combinations(range(board.count), 2):
-            if not NARROWEST < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < WIDEST:
-                continue
-            score = score_layout(
-                table, looks, ends, rods, row, board.marks_m, limits, chosen, indices
-            )
-            if score > best_score:
-                best, best_score = (chosen.copy(), indices.copy()), score
-    return best
+            if NARROWEST < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < WIDEST:
+                yield Hypothesis(ends, rods, slice(0, len(looks)), limits)
 
 
-def _best_single(
-    anchors: list[Anchor],
-    table: FloatArray,
-    looks: FloatArray,
-    board: RodBoard,
-    size: tuple[int, int],
+def _best(
+    hypotheses: Iterable[Hypothesis], table: FloatArray, looks: FloatArray, board: RodBoard
 ) -> tuple[IntArray, IntArray] | None:
-    """Return track and marks of the best rod of a board that has only one."""
+    """Return the track of each rod, (R,), and the mark of each of its edges, (R, M)."""
+    row, marks, dark_below = board.row_m, board.marks_m, board.dark_below
     best, best_score = None, 0.0
-    chosen = np.empty(1, np.int64)
-    indices = np.empty((1, table.shape[1]), np.int64)
-    row = np.zeros((1, 2))
-    for anchor in anchors:
-        ends = np.stack([anchor.ends, anchor.ends])
-        one = slice(anchor.track, anchor.track + 1)
+    chosen = np.empty(board.count, np.int64)
+    indices = np.empty((board.count, table.shape[1]), np.int64)
+    for ends, rods, tracks, limits in hypotheses:
         score = score_layout(
-            table[one], looks[one], ends, (0, 0), row, board.marks_m,
-            _limits(board, size, looks[anchor.track, 1]), chosen, indices,
+            table[tracks], looks[tracks], ends, rods, row, marks, dark_below, limits, chosen,
+            indices,
         )  # fmt: skip
         if score > best_score:
-            best, best_score = (np.array([anchor.track]), indices.copy()), score
+            known = np.where(chosen == NONE, NONE, chosen + tracks.start)
+            best, best_score = (known, indices.copy()), score
     return best
 
 

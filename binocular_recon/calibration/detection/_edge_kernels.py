@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 IntArray = npt.NDArray[np.int64]
 
@@ -145,6 +145,7 @@ def _grow(
     first: IntArray,
     cell: float,
     marks: FloatArray,
+    dark_below: Mask,
     width: float,
     middle: FloatImage,
     chain: IntArray,
@@ -166,7 +167,7 @@ def _grow(
                 ratio * (edges[j, Y] - edges[i, Y]),
             )
             radius = 0.3 * width + 0.1 * np.sqrt(dx * dx + dy * dy)
-            if (k - last) % 2 == 0:
+            if dark_below[k] == dark_below[last]:
                 radius = -radius
             found = _nearest(edges, first, cell, (edges[j, X] + dx, edges[j, Y] + dy, radius), j)
             if found != NONE and abs(k - last) == 1:
@@ -187,6 +188,7 @@ def string_rods(
     first: IntArray,
     cell: float,
     marks: FloatArray,
+    dark_below: Mask,
     scale: tuple[float, float],
     middle: FloatImage,
     chains: IntArray,
@@ -204,6 +206,8 @@ def string_rods(
         Side of a cell, px.
     marks : (M,) float64
         Heights of the marks, m.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     scale : tuple of float
         Width of the rods, px, and px per metre that it suggests.
     middle : (H, W) float32
@@ -239,7 +243,7 @@ def string_rods(
                 length = np.sqrt(dx * dx + dy * dy)
                 even = False
                 for a in range(marks.size - 1):
-                    if (a % 2 == 0) != (edges[i, STEP] > 0):
+                    if dark_below[a] != (edges[i, STEP] > 0):
                         continue
                     ratio = length / (gaps[a] * px_per_m)
                     if ratio < SHORTEST or ratio > LONGEST:
@@ -249,7 +253,7 @@ def string_rods(
                     even = True
                     chain[:] = NONE
                     chain[a], chain[a + 1] = i, j
-                    count = _grow(edges, first, cell, marks, width, middle, chain)
+                    count = _grow(edges, first, cell, marks, dark_below, width, middle, chain)
                     if count > counts[i]:
                         counts[i] = count
                         chains[i] = chain

@@ -67,7 +67,7 @@ def complete(
         Those and the new ones, the new ones to about 2 px.
 
     """
-    levels = _levels(averaged.middle, marks_px, predicted, averaged.rises_px[0])
+    levels = _levels(averaged, board, marks_px, predicted)
     if levels is None:
         return marks_px
     completed = marks_px.copy()
@@ -83,7 +83,17 @@ def complete(
         if known < 2:
             # only a rod whose place is known may be looked at right beside the edge
             near, rises = middle, rises[[0, 0]]
-        search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
+        search_line(
+            middle,
+            near,
+            predicted[rod],
+            board.dark_below,
+            window,
+            levels,
+            rises,
+            points,
+            agreement,
+        )
         new = missing & (agreement > AGREEMENT)
         if missing.all() and new.sum() < MIN_MARKS:
             continue
@@ -92,19 +102,20 @@ def complete(
 
 
 def _levels(
-    middle: FloatImage, marks_px: FloatArray, predicted: FloatArray, rise: float
+    averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray | None:
     """Return the grey levels of dark and light bands next to the marks found: (2,) float64."""
+    middle, rise = averaged.middle, averaged.rises_px[0]
     size = np.array(middle.shape[::-1]) - 1
     up = predicted[:, -1] - predicted[:, 0]
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     samples = []
-    for mark in range(marks_px.shape[1]):
+    for mark, dark_below in enumerate(board.dark_below):
         for side in (-1, 1):
             points = marks_px[:, mark] + side * rise * up
             points = points[np.isfinite(points[:, 0])]
             x, y = np.clip(np.rint(points), 0, size).astype(int).T
-            samples += [((side > 0) == (mark % 2 == 0), level) for level in middle[y, x]]
+            samples += [((side > 0) == dark_below, level) for level in middle[y, x]]
     dark = [level for light, level in samples if not light]
     light = [level for light, level in samples if light]
     if not dark or np.median(light) <= np.median(dark):

@@ -26,6 +26,7 @@ from binocular_recon.calibration.target.board_plane import (
     predict_marks,
     slant,
 )
+from binocular_recon.calibration.target.mark_types import PERIOD
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
@@ -125,12 +126,14 @@ def other_identities(
     moves = [
         np.stack([way[rods] - rods, np.full_like(rods, m)], -1)
         for way in _rows(board, seen)
-        for m in (-2, 0, 2)
+        for m in (-PERIOD, 0, PERIOD)
         if m or (way[seen] != seen).any()
     ]
     if len(seen) == 2:
         # nothing else tells how high the two are against each other
-        moves += [np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-2, 2)]
+        moves += [
+            np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-PERIOD, PERIOD)
+        ]
     for move in moves:
         r, m = rods + move[:, 0], marks + move[:, 1]
         exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)

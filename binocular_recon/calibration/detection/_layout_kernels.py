@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 IntArray = npt.NDArray[np.int64]
 
@@ -94,6 +95,7 @@ def _match_track(
     track: FloatArray,
     predicted: FloatArray,
     marks: FloatArray,
+    dark_below: Mask,
     lateral: float,
     indices: IntArray,
 ) -> tuple[int, int]:
@@ -115,7 +117,7 @@ def _match_track(
         height = marks[0] + (bx * ax + by * ay) / size * length
         best, best_gap = NONE, 1e9
         for m in range(marks.size):
-            if (track[j, 2] > 0) == (m % 2 == 0) and abs(height - marks[m]) < best_gap:
+            if (track[j, 2] > 0) == dark_below[m] and abs(height - marks[m]) < best_gap:
                 best, best_gap = m, abs(height - marks[m])
         if best == NONE:
             unexplained += 1
@@ -178,6 +180,7 @@ def score_layout(
     rods: tuple[int, int],
     row: FloatArray,
     marks: FloatArray,
+    dark_below: Mask,
     limits: FloatArray,
     chosen: IntArray,
     indices: IntArray,
@@ -198,6 +201,8 @@ def score_layout(
         Places of the rods along and off their row, m.
     marks : (M,) float64
         Heights of the marks, m.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     limits : (6,) float64
         Width and height of the image less a margin, px; how far a rod may be off sideways, m
         and px; logarithm of the usual step and of the rods' diameter, m.
@@ -230,7 +235,9 @@ def score_layout(
         for t in range(tracks.shape[0]):
             if _taken(chosen, t, r) or _far(tracks[t], predicted, 2 * lateral):
                 continue
-            explained, unexplained = _match_track(tracks[t], predicted, marks, lateral, trial)
+            explained, unexplained = _match_track(
+                tracks[t], predicted, marks, dark_below, lateral, trial
+            )
             width = limits[5] + math.log(length / (marks[-1] - marks[0]))
             if abs(looks[t, 2] - width) > WIDTH_RANGE:
                 continue

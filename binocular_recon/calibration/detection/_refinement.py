@@ -14,7 +14,7 @@ from binocular_recon.calibration.detection._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.target.board_plane import plane_marks
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 # How far along the rod an edge's fit looks: shares of the rod's width and of the spacing, px.
 REACH_WIDTHS, REACH_SPACING, MIN_REACH_PX = 1.2, 0.45, 3.5
@@ -70,7 +70,7 @@ def refine(
     # rough marks tell the scale of a rod but not how it changes along it
     scale = [np.mean(_px_per_m(board, rod)) for rod in predicted_px]
     widths = board.rod_diameter_m * np.repeat(np.array(scale)[:, None], board.marks_per_rod, 1)
-    rods = _fit_sides(image, marks_px, predicted_px, widths)
+    rods = _fit_sides(image, board, marks_px, predicted_px, widths)
     first = _fit_edges(image, board, rods, marks_px, None, None)
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
@@ -82,11 +82,11 @@ def refine(
     exact = plane_marks(board, again, (image.shape[1], image.shape[0]))
     if exact is not None:
         widths = board.rod_diameter_m * np.stack([_px_per_m(board, rod) for rod in exact])
-    rods = _fit_sides(image, again, predicted_px, widths)
+    rods = _fit_sides(image, board, again, predicted_px, widths)
     second = _fit_edges(image, board, rods, again, blur, curve)
-    _reject_odd_looking(second)
+    _reject_odd_looking(second, board.dark_below)
     marks = np.stack([_positions(row) for row in second])
-    ends, levels = rod_ends(image, rods, second, levels)
+    ends, levels = rod_ends(image, rods, second, board.light_bands, levels)
     ends_px, marks[ends] = marks[ends], np.nan
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
     sigma = np.hypot(sigma, MODEL_SIGMA_PX)
@@ -100,7 +100,11 @@ def _positions(row: list[EdgeFit | None]) -> FloatArray:
 
 
 def _fit_sides(
-    image: FloatImage, marks_px: FloatArray, predicted_px: FloatArray, width_px: FloatArray
+    image: FloatImage,
+    board: RodBoard,
+    marks_px: FloatArray,
+    predicted_px: FloatArray,
+    width_px: FloatArray,
 ) -> list[RodFit | None]:
     """Fit every rod between its marks; a single mark borrows its neighbours' predicted places."""
     lines: list[FloatArray | None] = []
@@ -115,7 +119,7 @@ def _fit_sides(
         known = seen.any() and np.isfinite(everywhere[rod]).all()
         known = known and np.isfinite(width_px[rod]).all()
         lines.append(visible if known else None)
-    return fit_rods(image, lines, everywhere[..., 1], width_px)
+    return fit_rods(image, lines, everywhere[..., 1], width_px, board.light_bands)
 
 
 def _fit_edges(
@@ -215,9 +219,14 @@ def _curve_model(fits: list[EdgeFit]) -> FloatArray:
     return np.array([model[0] - slope @ middle, *slope])
 
 
-def _reject_odd_looking(table: list[list[EdgeFit | None]]) -> None:
+def _reject_odd_looking(table: list[list[EdgeFit | None]], dark_below: Mask) -> None:
     """Drop edges whose step, levels or residuals are not like the board's other ones."""
-    levels = [_dark_and_light(m, fit) for row in table for m, fit in enumerate(row) if fit]
+    levels = [
+        _dark_and_light(fit, dark)
+        for row in table
+        for fit, dark in zip(row, dark_below, strict=True)
+        if fit
+    ]
     if not levels:
         return
     dark, light = np.median(levels, axis=0)
@@ -226,7 +235,7 @@ def _reject_odd_looking(table: list[list[EdgeFit | None]]) -> None:
         for m, fit in enumerate(row):
             if fit is None:
                 continue
-            own_dark, own_light = _dark_and_light(m, fit)
+            own_dark, own_light = _dark_and_light(fit, dark_below[m])
             step = own_light - own_dark
             off = max(abs(own_dark - dark), abs(own_light - light))
             if (
@@ -237,9 +246,9 @@ def _reject_odd_looking(table: list[list[EdgeFit | None]]) -> None:
                 row[m] = None
 
 
-def _dark_and_light(mark: int, fit: EdgeFit) -> tuple[float, float]:
+def _dark_and_light(fit: EdgeFit, dark_below: bool) -> tuple[float, float]:
     """Return the levels of the bands that should be dark and light at an edge."""
-    return (fit.below, fit.above) if mark % 2 == 0 else (fit.above, fit.below)
+    return (fit.below, fit.above) if dark_below else (fit.above, fit.below)
 
 
 def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt.NDArray[np.bool_]:

@@ -163,6 +163,7 @@ def _string(edges: Edges, board: RodBoard, width: float, scale: float) -> list[T
         edges.first,
         edges.cell_px,
         board.marks_m,
+        board.dark_below,
         (width, width / board.rod_diameter_m),
         edges.middle,
         chains,

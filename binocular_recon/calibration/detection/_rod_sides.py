@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.detection._rod_fit_kernels import (
     C0,
@@ -24,7 +23,7 @@ from binocular_recon.calibration.detection._rod_fit_kernels import (
 )
 from binocular_recon.calibration.detection._search_kernels import centre_rod
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8
@@ -79,6 +78,7 @@ def fit_rods(
     marks_px: list[FloatArray | None],
     edges_y: FloatArray,
     width_px: FloatArray,
+    light_bands: Mask,
 ) -> list[RodFit | None]:
     """Fit the middle lines of a board's rods to their two sides.
 
@@ -96,6 +96,8 @@ def fit_rods(
         Rows of all edges, found or not, px.
     width_px : (R, M) float64
         Expected width across each rod at its marks, px.
+    light_bands : (M + 1,) bool
+        Which bands are light, from the lowest up.
 
     Returns
     -------
@@ -105,7 +107,9 @@ def fit_rods(
     """
     places = [np.nanmean(marks[:, 0]) for marks in marks_px if marks is not None]
     sides = [
-        None if marks is None else _start(image, marks, edges, width, float(np.mean(places)))
+        None
+        if marks is None
+        else _start(image, marks, edges, width, light_bands, float(np.mean(places)))
         for marks, edges, width in zip(marks_px, edges_y, width_px, strict=True)
     ]
     seen = [side for side in sides if side is not None]
@@ -123,7 +127,7 @@ def fit_rods(
             own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
             limit = 2 * side.half_row_px[0] * LINE_STEP
             side.line = side.line + np.clip(own, -limit, limit)
-            _weigh_rows(side.rows, side.band)
+            _weigh_rows(side.rows, side.light)
     # one rod may stand where its background varies with its bands; a board of such is none
     flat = [side for side in seen if not side.stands_out(common)]
     lost = flat if 2 * len(flat) > len(seen) else []
@@ -135,7 +139,7 @@ class _Side:
     """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
 
     ``half_row_px`` is half the width along a row that is expected: R0, R1. ``bend`` (2,) is what
-    the common parameters of the lens do to C2.
+    the common parameters of the lens do to C2. ``light`` (n,): which rows are in light bands.
     """
 
     line: FloatArray
@@ -144,7 +148,7 @@ class _Side:
     y_middle: float
     y_scale: float
     rows: FloatArray
-    band: npt.NDArray[np.int64]
+    light: Mask
 
     def parameters(self, common: FloatArray) -> FloatArray:
         """Return the parameters of the kernels."""
@@ -166,7 +170,7 @@ class _Side:
         """
         seen = np.isfinite(self.rows[:, 3])
         _, _, weight, level, _, left, right = self.rows[seen].T
-        light = self.band[seen] % 2 == 1
+        light = self.light[seen]
         if weight[light].sum() <= 0 or weight[~light].sum() <= 0:
             return True
         dark_level, light_level = (
@@ -188,6 +192,7 @@ def _start(
     marks: FloatArray,
     edges_y: FloatArray,
     width_px: FloatArray,
+    light_bands: Mask,
     x_middle: float,
 ) -> _Side:
     """Set a rod up on the straight line through its marks."""
@@ -208,13 +213,13 @@ def _start(
     y = y[:: len(y) // MAX_ROWS + 1]
     rows = np.zeros((len(y), 7))
     rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
-    band = (edges_y > y[:, None]).sum(1)
+    light = light_bands[(edges_y > y[:, None]).sum(1)]
     half = 0.5 * lean * np.array([width, taper])
     bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
     line = np.array([x0, slope])
     if half[0] > WIDE_PX:
         centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MAX_CONTRAST)
-    return _Side(line, half, bend, middle, scale, rows, band)
+    return _Side(line, half, bend, middle, scale, rows, light)
 
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
@@ -256,7 +261,7 @@ def _normal_equations(
     return normal / variance, gradient / variance
 
 
-def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
+def _weigh_rows(rows: FloatArray, light: Mask) -> None:
     """Let rows count less whose residual is large or whose level is not that of their band."""
     level, residual = rows[:, 3], rows[:, 4]
     seen = np.isfinite(residual)
@@ -264,8 +269,8 @@ def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
         return
     typical = max(MIN_RESIDUAL, float(np.median(residual[seen])))
     weight = 1 / (1 + (residual / typical) ** 2) ** 2
-    for light in (0, 1):
-        same = seen & (band % 2 == light)
+    for kind in (~light, light):
+        same = seen & kind
         if same.any():
             median = np.median(level[same])
             spread = np.median(np.abs(level[same] - median)) + MIN_RESIDUAL

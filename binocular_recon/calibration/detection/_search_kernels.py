@@ -7,7 +7,7 @@ import math
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 # Shifts of either end that are tried, as shares of the rod's half width: -4 .. 4 of these steps.
 SHIFT_STEP, SHIFTS = 0.18, 4
@@ -99,6 +99,7 @@ def search_line(
     middle: FloatImage,
     near: FloatImage,
     predicted: FloatArray,
+    dark_below: Mask,
     window: FloatArray,
     levels: FloatArray,
     rises: FloatArray,
@@ -113,6 +114,8 @@ def search_line(
         Image averaged over the rod's width, and over a few rows only.
     predicted : (M, 2) float64
         Where the marks should be, px.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     window : (4,) float64
         Largest shift sideways and along, and the steps sideways and along, px.
     levels : (2,) float64
@@ -143,7 +146,7 @@ def search_line(
                     x = predicted[m, 0] - side * dy + along * dx
                     y = predicted[m, 1] + side * dx + along * dy
                     value = _agreement(
-                        middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+                        middle, x, y, (rise * dx, rise * dy), levels if dark_below[m] else flipped
                     )
                     # what is out of the image tells nothing
                     if value != OUTSIDE:
@@ -157,7 +160,7 @@ def search_line(
         side = step * (best_low + f * (best_high - best_low))
         # each mark may still be a little off
         agreement[m] = OUTSIDE
-        expected = levels if m % 2 == 0 else flipped
+        expected = levels if dark_below[m] else flipped
         for extra in range(-2, 3):
             along = best_along + extra
             x = predicted[m, 0] - side * dy + along * dx

@@ -12,12 +12,14 @@ from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from binocular_recon.calibration.target.capture import Capture
-    from binocular_recon.calibration.target.rods import MARK_TYPES, RodBoard, load_rods, save_rods
+    from binocular_recon.calibration.target.mark_types import MARK_TYPES, MarkType
+    from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
     from binocular_recon.calibration.target.target import Target
 
 __all__ = [
     'MARK_TYPES',
     'Capture',
+    'MarkType',
     'RodBoard',
     'Target',
     'load_rods',

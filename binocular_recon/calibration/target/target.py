@@ -28,7 +28,8 @@ class Target:
     sigmas : (5,) float64
         One standard deviation of each of ``DEVIATIONS``; 0 = exact.
     radius_m : float
-        Radius of the rods, m: edges are seen on the surface that faces the camera.
+        Distance of the visible marks from the rods' axes, towards the camera, m: for edges of
+        bands the radius of the rods.
 
     """
 
@@ -50,7 +51,7 @@ class Target:
             anchors_m=np.stack([x, np.zeros_like(x), z], axis=-1),
             heights_m=board.marks_m,
             sigmas=np.array([placement, height, placement, tilt, tilt]),
-            radius_m=board.rod_diameter_m / 2,
+            radius_m=board.mark_offset_m,
         )
 
     @classmethod

@@ -13,6 +13,7 @@ from binocular_recon.calibration.detection._guided_search import Averaged
 from binocular_recon.calibration.detection._layout_kernels import predict_rod
 from binocular_recon.calibration.detection._rod_sides import fit_rods
 from binocular_recon.calibration.detection._search_kernels import OUTSIDE, centre_rod, search_line
+from binocular_recon.calibration.target.mark_types import BAND_EDGE
 from binocular_recon.camera import FloatArray
 
 pytestmark = pytest.mark.kernel
@@ -45,7 +46,8 @@ def marks_at(middle: float, slope: float) -> FloatArray:
 def test_sides_and_edges_are_found_to_hundredths(width: float) -> None:
     image = drawn(28.37, 0.06, width)
     rough = marks_at(28.37, 0.06) + np.array([[1.0, 1.0], [-0.5, -1.0], [0.8, 0.6]])
-    (rod,) = fit_rods(image, [rough], rough[None, :, 1], np.full((1, 3), 1.03 * width))
+    widths, light = np.full((1, 3), 1.03 * width), BAND_EDGE.light_bands(3)
+    (rod,) = fit_rods(image, [rough], rough[None, :, 1], widths, light)
     assert rod is not None
     for mark in marks_at(28.37, 0.06):
         middle, _, half = rod.place(mark[1])
@@ -88,7 +90,8 @@ def test_marks_are_searched_along_the_line() -> None:
     predicted = np.vstack([marks_at(28.0, 0.0) + np.array([2.0, -1.5]), [30.0, -12.0]])
     points, agreement = np.full((4, 2), np.nan), np.zeros(4)
     search_line(
-        averaged.middle, averaged.near, predicted, np.array([4.0, 3.0, 1.0, 1.0]),
+        averaged.middle, averaged.near, predicted, BAND_EDGE.dark_below(4),
+        np.array([4.0, 3.0, 1.0, 1.0]),
         np.array([30.0, 200.0]), averaged.rises_px, points, agreement,
     )  # fmt: skip
     assert (agreement[:3] > 0.8).all() and agreement[3] == OUTSIDE

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods, visible_edges
+from binocular_recon.calibration.target.mark_types import visible_edges
+from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import CalibrationError, FileError
 
 EXAMPLE = Path(__file__).parents[3] / 'config' / 'rods.yaml'
@@ -54,7 +55,7 @@ def test_round_trip(tmp_path: Path) -> None:
         ({'marks': 'absent'}, 'missing marks'),
         ({'rods': 'absent', 'placement_sigma': 'absent'}, 'missing rods, placement_sigma'),
         ({'rod_diametre': 0.04}, 'unknown rod_diametre'),
-        ({'mark_type': 'ring'}, "mark_type must be one of band_edge, got 'ring'"),
+        ({'mark_type': 'ring'}, "must be one of band_edge, band_edge_light, got 'ring'"),
         ({'marks': [0.3, 0.9, 0.6]}, 'marks must increase'),
         ({'marks': [0.3, 0.3]}, 'marks must increase'),
         ({'marks': [0.3]}, 'at least 2 heights per rod, got 1'),
