@@ -21,6 +21,9 @@ ACROSS = np.array([-0.4, 0.0, 0.4])
 BESIDE_PX = np.array([2.0, 3.0])
 # A band's level may differ from its kind's by this share of the step.
 LEVEL_SPREAD = 0.06
+# A rod can be seen to go on where its level is that of its kind of band within the first of these
+# shares of the step, and differs from what is beside it by the second.
+SAME_LEVEL, MIN_CONTRAST = 0.2, 0.1
 
 
 def rod_ends(
@@ -29,8 +32,8 @@ def rod_ends(
     table: list[list[EdgeFit | None]],
     light_bands: Mask,
     usual: FloatArray | None,
-) -> tuple[Mask, FloatArray]:
-    """Return which edges have a band of the rod on one side only.
+) -> tuple[Mask, FloatArray, Mask]:
+    """Return which edges have a band of the rod on one side only, and on which sides one is seen.
 
     Parameters
     ----------
@@ -50,6 +53,8 @@ def rod_ends(
     ends : (R, M) bool
     usual : (2,) float64
         Levels of dark and light bands, NaN = unknown.
+    goes_on : (R, M, 2) bool
+        Whether the rod can be told from what is beside it, below and above each edge.
 
     """
     found = np.array([[fit is not None for fit in row] for row in table])
@@ -67,10 +72,12 @@ def rod_ends(
     dark, bright = usual
     odd = np.abs(on - np.where(light, bright, dark))
     with np.errstate(invalid='ignore'):
-        absent = (odd > LEVEL_SPREAD * (bright - dark)) & (np.abs(on - beside) < 0.5 * odd)
-    return _outermost(found, absent[..., 0]) | _outermost(found[:, ::-1], absent[:, ::-1, 1])[
-        :, ::-1
-    ], usual
+        contrast, step = np.abs(on - beside), bright - dark
+        absent = (odd > LEVEL_SPREAD * step) & (contrast < 0.5 * odd)
+        goes_on = (odd < SAME_LEVEL * step) & (contrast > MIN_CONTRAST * step)
+    lower = _outermost(found, absent[..., 0])
+    upper = _outermost(found[:, ::-1], absent[:, ::-1, 1])[:, ::-1]
+    return lower | upper, usual, goes_on
 
 
 def _outermost(found: Mask, absent: Mask) -> Mask:

@@ -35,12 +35,14 @@ class Refined(NamedTuple):
     """Marks below a pixel: positions (R, M, 2) and standard deviations (R, M), NaN = rejected.
 
     ``ends_px`` (N, 2): ends of rods that looked like marks. ``levels`` (2,): dark, light bands.
+    ``goes_on`` (R, M, 2): whether a rod can be seen to go on below and above each mark.
     """
 
     marks_px: FloatArray
     sigma_px: FloatArray
     ends_px: FloatArray
     levels: FloatArray | None
+    goes_on: Mask
 
 
 def refine(
@@ -75,7 +77,7 @@ def refine(
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
         empty = np.full(marks_px.shape, np.nan)
-        return Refined(empty, empty[..., 0], empty[:0, 0], levels)
+        return Refined(empty, empty[..., 0], empty[:0, 0], levels, np.isfinite(empty))
     blur = float(np.median([fit.blur_px for fit in fits]))
     curve = _curve_model(fits)
     again = np.stack([_positions(row) for row in first])
@@ -86,13 +88,13 @@ def refine(
     second = _fit_edges(image, board, rods, again, blur, curve)
     _reject_odd_looking(second, board.dark_below)
     marks = np.stack([_positions(row) for row in second])
-    ends, levels = rod_ends(image, rods, second, board.light_bands, levels)
+    ends, levels, goes_on = rod_ends(image, rods, second, board.light_bands, levels)
     ends_px, marks[ends] = marks[ends], np.nan
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
     sigma = np.hypot(sigma, MODEL_SIGMA_PX)
     sigma[ends | _strays(board, marks, plane_px)] = np.nan
     marks[~np.isfinite(sigma)] = np.nan
-    return Refined(marks, sigma, ends_px, levels)
+    return Refined(marks, sigma, ends_px, levels, goes_on)
 
 
 def _positions(row: list[EdgeFit | None]) -> FloatArray:

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from binocular_recon.calibration.detection._board_layout import Layout, identify
 from binocular_recon.calibration.detection._guided_search import MIN_MARKS, Averaged, complete
 from binocular_recon.calibration.detection._identity import settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
+from binocular_recon.calibration.detection._reversed_bands import explains_more, moved_readings
 from binocular_recon.calibration.detection._rod_search import Track, find_tracks
 from binocular_recon.calibration.target.board_plane import plane_marks, predict_marks
 from binocular_recon.calibration.target.rods import RodBoard
@@ -42,6 +43,7 @@ AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
 )
+REVERSED = 'the rods begin with a {} band; set mark_type: {} in rods.yaml'
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +96,68 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
     """
     image = _checked(image)
     height, width = image.shape[:2]
-    best = _nothing(board, f'an image of {width}x{height} px is too small for rods')
     if min(height, width) < MIN_SIZE_PX:
-        return best
-    for attempt, (grey, tracks) in enumerate(_searches(image, board)):
-        detection = _detect(grey, board, tracks)
-        if attempt == 0 or detection.found.sum() > best.found.sum():
+        return _nothing(board, f'an image of {width}x{height} px is too small for rods')
+    detection, measured = _search(image, board)
+    mark_type = board.mark_type.reversed()
+    if mark_type is not None:
+        other = replace(board, mark_type=mark_type)
+        if _shows(image, other, detection, measured):
+            return _nothing(board, REVERSED.format(mark_type.lowest_band, mark_type.name))
+    return detection
+
+
+class _Measured(NamedTuple):
+    """A board measured in an image.
+
+    ``detection`` is empty if it is in doubt which marks those of ``refined`` are.
+    """
+
+    detection: Detection
+    refined: Refined
+    image: FloatImage
+    averaged: Averaged
+
+
+def _search(
+    image: npt.NDArray[Any], board: RodBoard, *, leaning: bool = True
+) -> tuple[Detection, _Measured | None]:
+    """Return the best detection, and the most that was measured of the board."""
+    best, most = None, None
+    for grey, tracks in _searches(image, board, leaning):
+        measured = _measure_best(grey, board, tracks)
+        detection = measured.detection if measured else _nothing(board, NOTHING)
+        if best is None or detection.found.sum() > best.found.sum():
             best = detection
+        if measured and (most is None or _count(measured) > _count(most)):
+            most = measured
         if best.found.mean() >= ENOUGH:
             break
-    return best
+    assert best is not None
+    return best, most
+
+
+def _count(measured: _Measured) -> int:
+    return int(np.isfinite(measured.refined.marks_px[..., 0]).sum())
+
+
+def _shows(
+    image: npt.NDArray[Any], other: RodBoard, detection: Detection, measured: _Measured | None
+) -> bool:
+    """Return whether an image shows another board markedly better than the one detected."""
+    if measured is not None and detection.found.mean() >= ENOUGH:
+        readings = list(
+            moved_readings(measured.image, measured.averaged, other, measured.refined.marks_px)
+        )
+    else:
+        found, best = _search(image, other, leaning=False)
+        readings = [best.refined] if best is not None and found.found.mean() >= ENOUGH else []
+    own = None if measured is None else measured.refined
+    return any(explains_more(reading, own) for reading in readings)
 
 
 def _searches(
-    image: npt.NDArray[Any], board: RodBoard
+    image: npt.NDArray[Any], board: RodBoard, leaning: bool
 ) -> Iterator[tuple[FloatImage, list[Track]]]:
     """Yield stretched images with what may be rods: upright ones, then leaning ones too."""
     upright = []
@@ -116,24 +166,25 @@ def _searches(
         tracks = find_tracks(stretched, board, threshold)
         yield stretched, tracks
         upright.append((stretched, threshold, tracks))
-    for stretched, threshold, tracks in upright:
+    for stretched, threshold, tracks in upright if leaning else ():
         yield stretched, find_tracks(stretched, board, threshold, FURTHER_LEANS, tracks)
 
 
-def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection:
+def _measure_best(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> _Measured | None:
+    """Measure the board that the tracks look like most; None if they look like none."""
     for _ in range(MAX_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
             break
-        detection = _settle(grey, board, layout)
-        if detection is not None:
-            return detection
+        measured = _settle(grey, board, layout)
+        if measured is not None:
+            return measured
         # regular clutter, such as a chessboard, looked more like the board
         tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
-    return _nothing(board, NOTHING)
+    return None
 
 
-def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | None:
+def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | None:
     """Measure the marks of a layout and make sure which they are; None if it is no board."""
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
     for _ in range(MAX_IDENTITIES):
@@ -144,11 +195,13 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | N
         if identity is refined.marks_px:
             lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
             refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
-            return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+            marks, sigma = refined.marks_px, refined.sigma_px
+            detection = Detection(marks, sigma, _messages(marks))
+            return _Measured(detection, refined, image, averaged)
         if identity is None:
             break
         rough = identity
-    return _nothing(board, AMBIGUOUS)
+    return _Measured(_nothing(board, AMBIGUOUS), refined, image, averaged)
 
 
 def _nothing(board: RodBoard, message: str) -> Detection:

@@ -233,8 +233,9 @@ def test_three_rods_side_by_side_are_not_every_other_rod() -> None:
     mistaken[::2] = truth[2:]
     assert slant(board, mistaken, LEFT.camera.size) < 0.3
     layout = Layout(mistaken, 10.0, frozenset())
-    detection = _settle(image.astype(np.float32).mean(2), board, layout)
-    assert detection is not None
+    measured = _settle(image.astype(np.float32).mean(2), board, layout)
+    assert measured is not None
+    detection = measured.detection
     assert detection.found[2:].all() and detection.found.sum() == 26
     assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
 
