@@ -18,7 +18,7 @@ Spans = npt.NDArray[np.int64]
 MISS = -1
 # Fixed-point steps; each gains about a factor of 10 on ordinary lenses.
 UNDISTORT_STEPS = 8
-# Rays to a pixel that an edge crosses: SUB x SUB, no two on one row or column.
+# Rays per pixel across an edge or side: SUB x SUB, no two in one row or column.
 SUB = 8
 
 
@@ -48,7 +48,7 @@ def rays_of_pixels(pixels: FloatArray, camera: FloatArray, rays: FloatArray) -> 
 
 @kernel
 def _hit(u: float, v: float, rod: FloatArray, marks: FloatArray) -> tuple[int, float]:
-    """Return the band that a ray hits (MISS = none) and the light it sends back.
+    """Return the band that a ray hits (MISS = none) and the light that it reflects.
 
     ``rod`` is foot (3), direction (3), sun (3), radius, length, ambient, grime, seed.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Painted backgrounds that a rod detector must not be fooled by."""
+"""Painted backgrounds that must not fool a rod detector."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell the edges between two bands from the ends of a rod.
+"""Check the grey levels at edges: reject odd ones, and distinguish edges from ends of a rod.
 
-A dark foot on light ground looks like an edge with a light band below it. What is below differs
+A dark foot on light ground looks like an edge with a light band below. But the ground differs
 from the rod's light bands, and not from what is beside it.
 """
 
@@ -9,21 +9,50 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.detection._edge_fit import EdgeFit
+from binocular_recon.calibration.detection._edge_fit import MAX_RESIDUAL, EdgeFit
 from binocular_recon.calibration.detection._rod_sides import RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
-# Distances from the edge along the rod that are looked at, px.
+# Distances from the edge, along the rod, of the samples, px.
 ALONG_PX = np.linspace(2.0, 6.0, 5)
-# Places across: on the rod as shares of its half width, beside it from its sides, px.
+# Samples across: on the rod, as shares of its half width; beside it, px from its sides.
 ACROSS = np.array([-0.4, 0.0, 0.4])
 BESIDE_PX = np.array([2.0, 3.0])
-# A band's level may differ from its kind's by this share of the step.
+# A band's level may differ from that of the other dark or light bands by this share of the step.
 LEVEL_SPREAD = 0.06
-# A rod can be seen to go on where its level is that of its kind of band within the first of these
-# shares of the step, and differs from what is beside it by the second.
+# A rod visibly goes on where its level is right within the first of these shares of the step and
+# differs from what is beside it by the second.
 SAME_LEVEL, MIN_CONTRAST = 0.2, 0.1
+# An edge's step against the median of the board; levels of a band, as a share of the step.
+MIN_STEP, MAX_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
+
+
+def reject_odd_looking(table: list[list[EdgeFit | None]], dark_below: Mask) -> None:
+    """Drop edges whose step, levels or residual differ from those of the board's others."""
+    levels = [
+        _dark_and_light(fit, dark)
+        for row in table
+        for fit, dark in zip(row, dark_below, strict=True)
+        if fit
+    ]
+    if not levels:
+        return
+    dark, light = np.median(levels, axis=0)
+    typical = light - dark
+    for row in table:
+        for m, fit in enumerate(row):
+            if fit is None:
+                continue
+            own_dark, own_light = _dark_and_light(fit, dark_below[m])
+            step = own_light - own_dark
+            off = max(abs(own_dark - dark), abs(own_light - light))
+            if (
+                not MIN_STEP * typical < step < MAX_STEP * typical
+                or off > LEVEL_RANGE * typical
+                or fit.residual > MAX_RESIDUAL * step
+            ):
+                row[m] = None
 
 
 def rod_ends(
@@ -33,7 +62,7 @@ def rod_ends(
     light_bands: Mask,
     usual: FloatArray | None,
 ) -> tuple[Mask, FloatArray, Mask]:
-    """Return which edges have a band of the rod on one side only, and on which sides one is seen.
+    """Return which edges are ends of a rod, and on which sides of each the rod visibly goes on.
 
     Parameters
     ----------
@@ -46,7 +75,7 @@ def rod_ends(
     light_bands : (M + 1,) bool
         Which bands are light, from the lowest up.
     usual : (2,) float64 or None
-        Levels of dark and light bands; None = those of these edges.
+        Levels of dark and light bands; None = measure them at these edges.
 
     Returns
     -------
@@ -54,7 +83,7 @@ def rod_ends(
     usual : (2,) float64
         Levels of dark and light bands, NaN = unknown.
     goes_on : (R, M, 2) bool
-        Whether the rod can be told from what is beside it, below and above each edge.
+        Whether the rod visibly goes on below and above each edge.
 
     """
     found = np.array([[fit is not None for fit in row] for row in table])
@@ -81,9 +110,9 @@ def rod_ends(
 
 
 def _outermost(found: Mask, absent: Mask) -> Mask:
-    """Return the first edges of rods beyond which nothing is, if most rods agree on the mark.
+    """Return the first edges of rods with nothing beyond, where most rods agree on the mark.
 
-    One alone may be hidden or stand before something as even.
+    On a single rod the band beyond may be hidden, or its background may be just as even.
     """
     first = found & (np.cumsum(found, axis=1) == 1)
     bare = first & absent
@@ -110,3 +139,8 @@ def _levels(image: FloatImage, rod: RodFit, fit: EdgeFit) -> FloatArray:
             seen = image[y[inside], x[inside]]
             levels[side, kind] = np.median(seen) if seen.size else np.nan
     return levels
+
+
+def _dark_and_light(fit: EdgeFit, dark_below: bool) -> tuple[float, float]:
+    """Return the levels of the bands that should be dark and light at an edge."""
+    return (fit.below, fit.above) if dark_below else (fit.above, fit.below)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell which track is which rod, and which edge which mark, from the board as a whole."""
+"""Decide which track is which rod and which edge is which mark, from the board as a whole."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from binocular_recon.camera import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 
-# Best tracks that may serve as the two rods a board is built on.
+# So many of the best tracks are tried as the two rods that place the board.
 ANCHORS = 14
-# Best tracks that may serve as its other rods.
+# So many are tried as its other rods.
 CANDIDATES = 80
-# Largest deviation of a track's edges from even heights, as a share of a spacing.
-CROOKED = 0.12
-# Apparent spacing of two rods against their distance at the rods' own scale.
-NARROWEST, WIDEST = 0.2, 1.3
-# Rods stand upright on the row: largest cosine between the two in an image (perspective).
+# Largest deviation of a track's edges from the marks' spacing, as a share of a spacing.
+MAX_CROOKED = 0.12
+# Apparent distance of two rods against the true one, at the rods' own scale.
+MIN_APART, MAX_APART = 0.2, 1.3
+# Largest cosine between rods and row in an image: they are square in space.
 MAX_SKEW = 0.7
 
 
 class Anchor(NamedTuple):
-    """A track taken as a rod with its lowest edge at a certain mark."""
+    """A track taken for a rod, with its lowest edge at a certain mark."""
 
     track: int
     ends: FloatArray  # bottom and top x, y, px per metre: (5,)
 
 
 class Hypothesis(NamedTuple):
-    """Two tracks taken as two rods, from which follows where the others must be.
+    """Two tracks taken for two rods, which place the whole board.
 
-    ``ends`` (2, 5) of the two anchors, ``rods`` which they are, ``tracks`` those that may be rods
-    of the board, ``limits`` (6,) as score_layout takes them. The only rod of a board stands twice.
+    ``ends`` (2, 5) of the two anchors; ``rods``: which rods they are; ``tracks``: which tracks may
+    be rods; ``limits`` (6,) of `score_layout`. A board's only rod is entered twice.
     """
 
     ends: FloatArray
@@ -54,8 +54,8 @@ class Hypothesis(NamedTuple):
 class Layout(NamedTuple):
     """Tracks that together look like the board.
 
-    ``marks_px`` (R, M, 2): rough positions of the marks found, NaN = not found; ``width_px``: the
-    usual width of the rods; ``tracks``: indices of the tracks.
+    ``marks_px`` (R, M, 2): rough positions of the marks found, NaN = not found; ``width_px``:
+    median width of the rods; ``tracks``: indices of the tracks.
     """
 
     marks_px: FloatArray
@@ -87,7 +87,7 @@ def identify(tracks: list[Track], board: RodBoard, size: tuple[int, int]) -> Lay
     ]
     tracks = tracks[:CANDIDATES]
     table = _edge_table(tracks, board)
-    looks = np.array([_looks(track) for track in tracks])
+    looks = np.array([_appearance(track) for track in tracks])
     best = _best(_hypotheses(anchors, looks, board, size), table, looks, board)
     if best is None:
         return None
@@ -111,12 +111,12 @@ def _edge_table(tracks: list[Track], board: RodBoard) -> FloatArray:
 
 
 def _anchors(index: int, track: Track, board: RodBoard) -> list[Anchor]:
-    """Return the ways in which a track's marks may be the board's: shifted by whole periods.
+    """Return the track as a rod, with its edges at the marks or shifted by whole periods.
 
-    One edge may fall off: a foot on light ground or a top before the sky looks like one.
+    One edge may fall off: a foot on light ground, or a top against the sky, looks like one.
     """
     heights, edges = board.marks_m, np.nonzero(track.found)[0]
-    ways = []
+    anchors = []
     for shift in range(-(len(heights) // PERIOD) * PERIOD, len(heights), PERIOD):
         found = edges[(edges + shift >= 0) & (edges + shift < len(heights))]
         if len(found) < max(2, len(edges) - 1):
@@ -128,21 +128,21 @@ def _anchors(index: int, track: Track, board: RodBoard) -> list[Anchor]:
         middle = points.mean(0)
         crooked = np.linalg.norm(points - middle - spread[:, None] * slope, axis=1).max()
         scale = float(np.linalg.norm(slope))
-        if crooked > CROOKED * scale * np.diff(heights).min() + 1:
+        if crooked > MAX_CROOKED * scale * np.diff(heights).min() + 1:
             continue
         ends = [middle + (heights[k] - h.mean()) * slope for k in (0, -1)]
-        ways.append(Anchor(index, np.array([*ends[0], *ends[1], scale])))
-    return ways
+        anchors.append(Anchor(index, np.array([*ends[0], *ends[1], scale])))
+    return anchors
 
 
-def _looks(track: Track) -> tuple[float, float, float]:
-    """Return how much a track looks like a rod, the logarithm of its step and of its width."""
+def _appearance(track: Track) -> tuple[float, float, float]:
+    """Return how much a track looks like a rod, and the logarithms of its step and width."""
     step = float(np.nanmean(track.steps))
     return track.score / track.found.sum(), float(np.log(step)), float(np.log(track.width_px))
 
 
 def _limits(board: RodBoard, size: tuple[int, int], step: float) -> FloatArray:
-    """Return the limits of score_layout for rods with the logarithm of the step ``step``."""
+    """Return the limits of `score_layout`; ``step``: logarithm of the rods' step."""
     margin, lateral_px = 4.0, 2.0
     return np.array(
         [
@@ -159,7 +159,7 @@ def _limits(board: RodBoard, size: tuple[int, int], step: float) -> FloatArray:
 def _hypotheses(
     anchors: list[Anchor], looks: FloatArray, board: RodBoard, size: tuple[int, int]
 ) -> Iterator[Hypothesis]:
-    """Yield every two tracks as every two rods; of a board with one rod, every track alone."""
+    """Yield each pair of tracks as each pair of rods; for a board with one rod, each track."""
     if board.count == 1:
         for anchor in anchors:
             ends = np.stack([anchor.ends, anchor.ends])
@@ -182,7 +182,7 @@ def _hypotheses(
         step = 0.5 * (looks[left.track, 1] + looks[right.track, 1])
         limits = _limits(board, size, step)
         for rods in combinations(range(board.count), 2):
-            if NARROWEST < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < WIDEST:
+            if MIN_APART < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < MAX_APART:
                 yield Hypothesis(ends, rods, slice(0, len(looks)), limits)
 
 
@@ -206,7 +206,7 @@ def _best(
 
 
 def _skew(first: FloatArray, last: FloatArray) -> float:
-    """Return the cosine between two rods (lowest and highest mark) and the row they stand in."""
+    """Return the cosine between two rods (lowest and highest mark) and the line through them."""
     row = last[[0, -1]].mean(0) - first[[0, -1]].mean(0)
     up = last[-1] - last[0] + first[-1] - first[0]
     return float(abs(row @ up) / max(np.linalg.norm(row) * np.linalg.norm(up), 1e-9))

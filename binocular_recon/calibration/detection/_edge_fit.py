@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit one edge between two bands of a rod to grey levels, below a pixel."""
+"""Fit one edge between two bands of a rod to grey levels, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
 EDGE_STEPS = 8
+# Largest root mean square residual of an edge, as a share of its step.
+MAX_RESIDUAL = 0.12
 
 
 class EdgeFit(NamedTuple):
     """One edge: position, grey levels below and above it, curve, blur, quality.
 
-    ``residual`` is the root mean square residual, grey levels; ``sigma_px`` one standard deviation
-    along the rod as the residuals suggest; ``curve_weight`` the information on ``curve``.
+    ``residual``: root mean square residual, grey levels; ``sigma_px``: one standard deviation
+    along the rod, from the residuals; ``curve_weight``: inverse variance of ``curve``.
     """
 
     point_px: FloatArray
@@ -67,13 +69,13 @@ def fit_edge(
     blur_px : float or None
         Standard deviation of the blur; None = fit it.
     curve : float or None
-        Sine of the angle under which the camera looks down on the edge (it bends by this share
-        of the rod's half width); None = fit it.
+        Sine of the angle at which the camera looks down on the edge, which bends by this share
+        of the rod's half width; None = fit it.
 
     Returns
     -------
     EdgeFit or None
-        None if too little of the edge is in the image or the fit runs away.
+        None if too little of the edge is in the image or the fit diverges.
 
     """
     middle, up, half = rod.place(y)
@@ -96,7 +98,7 @@ def fit_edge(
         noise = max(square / count, 1.0)
         stiff[CURVE] = 1e12 if curve is not None or step < 2 else noise / 0.3**2
         stiff[BLUR] = 1e12 if blur_px is not None or step < 3 else noise / 0.3**2
-        # what is left and right is between black and white
+        # the background on the left and right is between black and white
         stiff[LEFT] = stiff[RIGHT] = noise / 100.0**2
         target[LEFT] = target[RIGHT] = 0.5 * (edge[BELOW] + edge[ABOVE])
         target[CURVE] = curve or 0.0
@@ -120,3 +122,25 @@ def fit_edge(
         float(np.sqrt(variance * covariance[T0, T0])),
         float(1 / (variance * covariance[CURVE, CURVE])),
     )
+
+
+def curve_model(fits: list[EdgeFit]) -> FloatArray:
+    """Return the edges' curve as a linear function (1, x, y) of the position in the image.
+
+    The curve is the sine of the angle at which the camera looks down on the rod. For parallel rods
+    it is nearly linear over the image.
+    """
+    points = np.array([fit.point_px for fit in fits])
+    curves = np.array([fit.curve for fit in fits])
+    weights = np.array([fit.curve_weight for fit in fits])
+    middle, size = points.mean(0), np.maximum(np.ptp(points, axis=0).max(), 1.0)
+    design = np.column_stack([np.ones(len(fits)), (points - middle) / size])
+    model = np.zeros(3)
+    for _ in range(5):
+        off = curves - design @ model
+        w = weights / (1 + weights * off**2 / 9)
+        # a field of view is about 60 degrees; the prior keeps few or narrow rods from diverging
+        normal = design.T @ (w[:, None] * design) + np.diag([1 / 0.5**2, 1 / 0.1**2, 1 / 0.5**2])
+        model = np.linalg.solve(normal, design.T @ (w * curves))
+    slope = model[1:] / size
+    return np.array([model[0] - slope @ middle, *slope])

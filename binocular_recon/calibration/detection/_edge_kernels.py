@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that find short edges between light and dark bands and string them into rods."""
+"""Kernels that find short edges between light and dark bands and chain them into rods."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from binocular_recon.images import FloatImage, Mask
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1
-# Columns of a table of edges.
+# Columns of the table of edges.
 X, Y, STEP, LIGHT, DARK = range(5)
-# Length of a gap against what the filter's width suggests (its scales are 1.57 apart).
-SHORTEST, LONGEST = 0.6, 1.7
-# Rods lean up to 20 degrees; edges are found to a fraction of their width.
+# Length of a gap against what the filter's width suggests: filters differ by a factor of 1.57.
+MIN_GAP, MAX_GAP = 0.6, 1.7
+# Largest dx / dy of a rod: 20 degrees, and the inaccuracy of its edges.
 LEAN = 0.42
-# Levels of bands of one rod agree to this share of its contrast.
+# Levels of one rod's dark (or light) bands agree to this share of its contrast.
 LEVEL_TOLERANCE = 0.45
 
 
@@ -35,9 +35,9 @@ def edge_response(
 ) -> None:
     """Write how much each pixel of rows start..stop - 1 looks like the middle of an edge.
 
-    The step from ``rise`` rows below to as many above on the rod, less the step of the background
-    ``reach`` columns to both sides: a long horizontal edge gives nothing. Positive: dark below.
-    ``middle`` and ``side`` are the image averaged over the boxes of rod and background.
+    The step on the rod from ``rise`` rows below to as many above, less that of the background
+    ``reach`` columns to either side, so that a long horizontal line gives nothing. Positive: dark
+    below. ``middle`` and ``side`` are the image averaged over boxes for rod and background.
     """
     height, width = response.shape
     for y in range(max(start, rise), min(stop, height - rise)):
@@ -61,7 +61,7 @@ def mark_peaks(
     start: int,
     stop: int,
 ) -> None:
-    """Mark the local extremes beyond ``threshold`` in rows start..stop - 1."""
+    """Mark the local extrema beyond ``threshold`` in rows start..stop - 1."""
     height, width = response.shape
     for y in range(start, stop):
         for x in range(width):
@@ -84,7 +84,7 @@ def mark_peaks(
 
 @kernel
 def _same_rod(edges: FloatArray, i: int, j: int) -> bool:
-    """Return whether the bands at two edges have the same two levels."""
+    """Return whether the bands at two edges have the same two grey levels."""
     contrast = 0.5 * (abs(edges[i, STEP]) + abs(edges[j, STEP]))
     limit = LEVEL_TOLERANCE * contrast
     return bool(
@@ -95,7 +95,7 @@ def _same_rod(edges: FloatArray, i: int, j: int) -> bool:
 
 @kernel
 def _even_band(edges: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
-    """Return whether the band from edge i up to edge j has one level, the right one."""
+    """Return whether the band from edge i up to edge j has a uniform level, the right one."""
     level = 0.5 * (
         edges[i, LIGHT] + edges[j, LIGHT]
         if edges[i, STEP] > 0
@@ -114,9 +114,10 @@ def _even_band(edges: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
 def _nearest(
     edges: FloatArray, first: IntArray, cell: float, point: tuple[float, float, float], like: int
 ) -> int:
-    """Return the edge nearest to x, y within a radius that continues ``like``; NONE if none.
+    """Return the edge nearest to x, y within a radius that may be on the rod of edge ``like``.
 
-    The step's sign must be that of ``like`` if the radius is given as negative, else opposite.
+    NONE if there is none. A negative radius asks for a step of the same sign as that of ``like``,
+    a positive one for the opposite sign.
     """
     x, y, radius = point
     sign = edges[like, STEP] if radius < 0 else -edges[like, STEP]
@@ -150,7 +151,7 @@ def _grow(
     middle: FloatImage,
     chain: IntArray,
 ) -> int:
-    """Extend a chain that holds two neighbouring marks both ways; return the number of marks."""
+    """Extend a chain of two neighbouring marks both ways; return its number of marks."""
     count = 2
     lowest = 0
     while chain[lowest] == NONE:
@@ -183,7 +184,7 @@ def _grow(
 
 
 @kernel
-def string_rods(
+def chain_edges(
     edges: FloatArray,
     first: IntArray,
     cell: float,
@@ -194,7 +195,7 @@ def string_rods(
     chains: IntArray,
     counts: IntArray,
 ) -> None:
-    """Write for each edge the longest chain that it starts as the lower of two marks.
+    """Write for each edge the longest chain in which it is the lower of the first two marks.
 
     Parameters
     ----------
@@ -209,7 +210,7 @@ def string_rods(
     dark_below : (M,) bool
         Which marks have a dark band below and a light one above.
     scale : tuple of float
-        Width of the rods, px, and px per metre that it suggests.
+        Width of the rods, px, and the px per metre that follow from it.
     middle : (H, W) float32
         Image averaged over the rod's width.
     chains : (N, M) int64
@@ -221,8 +222,8 @@ def string_rods(
     width, px_per_m = scale
     chain = np.empty(marks.size, np.int64)
     gaps = np.diff(marks)
-    reach = LONGEST * px_per_m * gaps.max()
-    nearest = SHORTEST * px_per_m * gaps.min() * 0.9
+    reach = MAX_GAP * px_per_m * gaps.max()
+    nearest = MIN_GAP * px_per_m * gaps.min() * 0.9
     rows, columns = first.shape[0], first.shape[1] - 1
     for i in range(edges.shape[0]):
         x, y = edges[i, X], edges[i, Y]
@@ -246,7 +247,7 @@ def string_rods(
                     if dark_below[a] != (edges[i, STEP] > 0):
                         continue
                     ratio = length / (gaps[a] * px_per_m)
-                    if ratio < SHORTEST or ratio > LONGEST:
+                    if ratio < MIN_GAP or ratio > MAX_GAP:
                         continue
                     if not even and not _even_band(edges, i, j, middle):
                         break

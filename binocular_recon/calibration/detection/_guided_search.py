@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look where the board says that further marks must be."""
+"""Look for further marks where the board predicts them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Agreement of the grey levels around an edge with the rods' own that makes it a mark
-# (1 = equal, 0 = no edge).
+# Least agreement of the grey levels around a mark with those of the bands (1 = equal, 0 = no
+# edge).
 AGREEMENT = 0.45
-# Marks of a rod that vouch for each other: a lone one may be a corner of something else.
+# Least number of marks of a rod: a single one may be a corner of something else.
 MIN_MARKS = 2
-# Something in front of the rod may come as near to an edge as this, px.
+# Something in front of the rod may come this near to an edge, px.
 NEAR_RISE_PX = 2.0
 
 
 class Averaged(NamedTuple):
-    """An image averaged for rods of one width, in which marks are looked for.
+    """An image averaged over boxes that suit rods of one width, for the search of marks.
 
-    ``middle`` over the rod's width and a good part of it along the rod, ``near`` over few rows;
-    ``rises_px`` (2,): how far from an edge their levels are compared.
+    ``middle``: boxes as long as 0.7 widths; ``near``: of three rows. ``rises_px`` (2,): how far
+    below and above an edge the levels of each are compared.
     """
 
     middle: FloatImage
@@ -48,14 +48,14 @@ class Averaged(NamedTuple):
 def complete(
     averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray:
-    """Add the marks that the image shows where the board says they must be.
+    """Add the marks that the image shows where the board predicts them.
 
     Parameters
     ----------
     averaged : Averaged
         The image.
     board : RodBoard
-        Places of rods and marks.
+        Positions of rods and marks.
     marks_px : (R, M, 2) float64
         Marks found so far, px; NaN = not found.
     predicted : (R, M, 2) float64
@@ -81,7 +81,7 @@ def complete(
         agreement = np.zeros(board.marks_per_rod)
         middle, near, rises, _ = averaged
         if known < 2:
-            # only a rod whose place is known may be looked at right beside the edge
+            # a rod whose place is not known needs the larger boxes
             near, rises = middle, rises[[0, 0]]
         search_line(
             middle,
@@ -104,7 +104,7 @@ def complete(
 def _levels(
     averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray | None:
-    """Return the grey levels of dark and light bands next to the marks found: (2,) float64."""
+    """Return the grey levels of dark and light bands at the marks found: (2,) float64."""
     middle, rise = averaged.middle, averaged.rises_px[0]
     size = np.array(middle.shape[::-1]) - 1
     up = predicted[:, -1] - predicted[:, 0]
@@ -126,7 +126,7 @@ def _levels(
 def _window(
     board: RodBoard, everywhere: FloatArray, rod: int, found: int, width_px: float
 ) -> FloatArray:
-    """Return how far off a rod's marks may be, sideways and along the rod, and the steps."""
+    """Return how far to search sideways and along a rod, and the step of either, px: (4,)."""
     predicted = everywhere[rod]
     scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
     gap = scale * float(np.diff(board.marks_m).min())
@@ -140,5 +140,5 @@ def _window(
         along = 2 + 0.05 * gap
     else:
         side, along = 0.3 * width_px, 1.5 + 0.04 * gap
-    # however far the window reaches, at most so many places are tried
+    # the number of steps is limited, however far the window reaches
     return np.array([side, along, max(1.0, 0.25 * width_px, side / 10), max(1.0, along / 15)])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Notice rods whose dark and light bands are exchanged against what ``rods.yaml`` says.
 
-At even spacing the edges of such rods fit the board moved up or down by one mark: most marks are
-found, all at wrong heights. Read with the other type of marks, each rod shows one mark more, and
-beyond that mark the rod goes on.
+With even spacing, the edges of such rods fit the board moved up or down by one mark: most marks
+are found, all at wrong heights. Read with the other type of marks, each rod shows one mark more,
+and the rod visibly goes on beyond it.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ MIN_GAIN, MIN_GAIN_SHARE = 2, 0.4
 
 
 def moved_readings(
-    image: FloatImage, averaged: Averaged, board: RodBoard, marks_px: FloatArray
+    image: FloatImage, averaged: Averaged, board: RodBoard, own: Refined
 ) -> Iterator[Refined]:
-    """Yield readings of the same edges as marks one lower or one higher, if that finds more.
+    """Read the same edges as marks one lower and one higher; yield readings that find more.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     averaged : Averaged
-        The same for marks to be looked for.
+        The same, averaged for the search of marks.
     board : RodBoard
         The board with the other type of marks.
-    marks_px : (R, M, 2) float64
-        Marks found with the type that ``rods.yaml`` states, px; NaN = not found.
+    own : Refined
+        Marks found with the type that ``rods.yaml`` states.
 
     """
     size = image.shape[1], image.shape[0]
     for shift in (-1, 1):
-        moved = np.roll(marks_px, shift, axis=1)
+        moved = np.roll(own.marks_px, shift, axis=1)
         moved[:, 0 if shift > 0 else -1] = np.nan
         plane = plane_marks(board, moved, size)
         predicted = predict_marks(board, moved, plane)
@@ -68,13 +68,13 @@ def _found(marks_px: FloatArray) -> Mask:
 
 
 def _least_gain(marks_px: FloatArray) -> float:
-    """Return how many marks more decide for a reading."""
+    """Return how many marks more than another one a reading must explain."""
     rods = int(_found(marks_px).any(1).sum())
     return max(min(MIN_GAIN, len(marks_px)), MIN_GAIN_SHARE * rods)
 
 
 def _extra_marks(reading: Refined, other: Refined | None) -> int:
-    """Return how many edges the other reading lacks, without those that may end a rod."""
+    """Count the marks that another reading lacks, without those that may be ends of rods."""
     found = _found(reading.marks_px)
     extra = found & ~_outermost_without_rod(found, reading.goes_on)
     points = reading.marks_px[extra]
@@ -86,7 +86,7 @@ def _extra_marks(reading: Refined, other: Refined | None) -> int:
 
 
 def _outermost_without_rod(found: Mask, goes_on: Mask) -> Mask:
-    """Return the lowest and highest marks of rods beyond which no rod can be seen, (R, M)."""
+    """Return the lowest and highest marks of rods that do not visibly go on there, (R, M)."""
     lowest = found & (np.cumsum(found, axis=1) == 1)
     highest = found & (np.cumsum(found[:, ::-1], axis=1)[:, ::-1] == 1)
     ends: Mask = (lowest & ~goes_on[..., 0]) | (highest & ~goes_on[..., 1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that fit a rod's two sides and its edges to grey levels, below a pixel."""
+"""Kernels that fit a rod's two sides and its edges to grey levels, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
 # Parameters of a rod in the image, with z = (y - y_middle) / y_scale: the middle is at
-# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and
-# sun is as bright as 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half
-# width.
+# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. The brightness of a matt rod lit by
+# sky and sun is 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half width.
 # SIGMA is the blur, px.
 C0, C1, C2, R0, R1, S1, S2, SIGMA = range(8)
 ROD_PARAMETERS = 8
-# The corner between shade and light is rounded: a step of a fit must not jump over it.
+# The corner between shade and light is rounded, so that a step of the fit cannot jump over it.
 ROUND = 0.1
-# Strips of one brightness into which a rod's width is cut, equal in angle around the rod: so many
-# at least, and so many to a pixel of its half width.
+# A rod's width is cut into strips of one brightness, equal in angle around the rod: the least
+# number, and the number per pixel of its half width.
 MIN_STRIPS, STRIPS_PER_PX = 8, 1.5
 # Background on either side of a rod that a row's fit uses, px.
 BESIDE_PX = 3.0
@@ -87,7 +86,7 @@ def _row_model(
             share, density = 1.0, 0.0
             if a < 4.5:
                 share, density = _phi(a), _density(a) / sigma
-            # from strip k on the brightness is another
+            # the change of brightness from strip k - 1 to strip k
             change = strips[k, 1] - (strips[k - 1, 1] if k > 0 else 0.0)
             rod += change * share
             by_x -= change * density
@@ -131,7 +130,7 @@ def accumulate_rows(
     normal: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Fit background and level of each row; add up the normal equations of the rod's parameters.
+    """Fit background and level of each row; sum the normal equations of the rod's parameters.
 
     Parameters
     ----------
@@ -188,7 +187,7 @@ def accumulate_rows(
         rows[r, 5], rows[r, 6] = left, right
         if weight <= 0:
             continue
-        # what the row's own three levels can explain does not count (variable projection)
+        # variable projection: remove what the row's own three levels explain
         cross = np.zeros((3, p))
         for i in range(n):
             for j in range(3):
@@ -210,8 +209,8 @@ def accumulate_rows(
             gradient[j] += weight * total
 
 
-# Parameters of an edge: its place along the rod, levels below and above, curve, blur, levels of
-# the background that shines in from the left and the right.
+# Parameters of an edge: its position along the rod, levels below and above, curve, blur, levels of
+# the background that blurs in from the left and the right.
 T0, BELOW, ABOVE, CURVE, BLUR, LEFT, RIGHT = range(7)
 EDGE_PARAMETERS = 7
 
@@ -225,21 +224,21 @@ def accumulate_edge(
     normal: FloatArray,
     gradient: FloatArray,
 ) -> tuple[float, int]:
-    """Add up the normal equations of one edge; return the squared residuals and their number.
+    """Sum the normal equations of one edge; return the squared residuals and their number.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     window : (8,) float64
-        x, y of the edge as guessed, unit direction up the rod (x, y), half width across the
-        rod, share of it used, how far to look below and above, px.
+        First guess of x, y of the edge; unit direction up the rod (x, y); half width across the
+        rod; share of it used; reach below and above, px.
     shade : (2,) float64
         S1, S2 of the rod.
     edge : (7,) float64
-        Place along the direction from the guess, px; grey levels below and above; the ring's
-        sag towards the rod's sides as a share of the half width; blur, px; grey levels to the
-        left and to the right.
+        Position along the direction from the guess, px; grey levels below and above; sag of the
+        ring towards the rod's sides, as a share of the half width; blur, px; grey levels on the
+        left and on the right.
     normal, gradient : (7, 7), (7,) float64
         Added to.
 

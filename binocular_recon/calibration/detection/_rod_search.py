@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look for rods: short edges of bands, strung along straight lines with the marks' spacing."""
+"""Search for rods: short edges of bands, chained along straight lines with the marks' spacing."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from binocular_recon._jit import over_strips
 from binocular_recon.calibration.detection._edge_kernels import (
     NONE,
     STEP,
+    chain_edges,
     edge_response,
     mark_peaks,
-    string_rods,
 )
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Widths of rods that the filters are made for, px of a pyramid level; each level halves the image,
-# so together they cover 2.7 to 50 px.
+# Widths of rods that the filters are made for, px of a pyramid level. Each level halves the image:
+# together they cover 2.7 to 50 px.
 FILTER_WIDTHS_PX = (3.5, 5.5)
 LEVELS = 4
-# Edges kept at each width, the strongest; a forest or a gravel heap offers 50 000.
+# The strongest edges kept at each width; a forest or a heap of gravel has 50 000.
 MAX_EDGES = 20_000
-# Tracks looked at: no image holds more that can be told from clutter.
+# Number of tracks kept; an image with more is all clutter.
 MAX_TRACKS = 100
 
 
 class Track(NamedTuple):
     """A straight row of edges that may be a rod.
 
-    ``points_px`` (M, 2), NaN where the row has a gap; the marks' indices are a guess where their
-    spacing repeats. ``steps`` (M,): light less dark, grey levels. ``width_px`` is that of the
+    ``points_px`` (M, 2), NaN where the row has a gap; where the spacing repeats, the indices of
+    the marks are a guess. ``steps`` (M,): light less dark, grey levels. ``width_px``: of the
     filter that found it.
     """
 
@@ -68,7 +68,7 @@ def find_tracks(
     leans: tuple[float, ...] = (0.0,),
     known: Sequence[Track] = (),
 ) -> list[Track]:
-    """Return rows of edges that may be rods, the best first, each place once.
+    """Return rows of edges that may be rods, the best first, one for each position.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def find_tracks(
     threshold : float
         Least step of an edge, grey levels.
     leans : tuple of float
-        Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and
-        up to 20 on a quiet background.
+        Slopes dx / dy of the rods to search; each finds rods up to 12 degrees off it, and up to
+        20 degrees on a plain background.
     known : sequence of Track
         Rows found before, at other leans.
 
@@ -95,7 +95,7 @@ def find_tracks(
 def _leaning_tracks(
     grey: FloatImage, board: RodBoard, threshold: float, lean: float
 ) -> list[Track]:
-    """Return the tracks of rods with slope dx / dy near ``lean``: upright once sheared."""
+    """Return the tracks of rods with slope dx / dy near ``lean``, upright in a sheared image."""
     if not lean:
         return _upright_tracks(grey, board, threshold)
     height, width = grey.shape
@@ -120,7 +120,7 @@ def _upright_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list
             break
         for width in FILTER_WIDTHS_PX:
             edges = _find_edges(level, width, threshold)
-            tracks += _string(edges, board, width, scale)
+            tracks += _chain(edges, board, width, scale)
         level, scale = cv2.pyrDown(level), 2 * scale
     return tracks
 
@@ -153,12 +153,12 @@ def _find_edges(level: FloatImage, width: float, threshold: float) -> Edges:
     return Edges(table[order], first.reshape(rows, columns + 1), cell, middle)
 
 
-def _string(edges: Edges, board: RodBoard, width: float, scale: float) -> list[Track]:
+def _chain(edges: Edges, board: RodBoard, width: float, scale: float) -> list[Track]:
     """Return the tracks of one filter width in pixels of the whole image."""
     table = edges.table
     chains = np.full((len(table), board.marks_per_rod), NONE)
     counts = np.zeros(len(table), np.int64)
-    string_rods(
+    chain_edges(
         table,
         edges.first,
         edges.cell_px,
@@ -187,7 +187,7 @@ def _scores(
     board: RodBoard,
     width: float,
 ) -> FloatArray:
-    """Return the number of marks of each track, less for uneven steps and crooked lines."""
+    """Return the number of marks of each track, reduced for uneven steps and crooked lines."""
     weight = present.astype(np.float64)
     count = weight.sum(1)
     heights = np.where(present, board.marks_m, 0.0)
@@ -205,7 +205,7 @@ def _scores(
 
 
 def _each_place_once(tracks: list[Track]) -> list[Track]:
-    """Drop tracks that lie on a better one's line."""
+    """Drop tracks that lie on the line of a better one."""
     kept: list[Track] = []
     # x at the top, slope, top, bottom and width of the lines kept
     lines = np.empty((MAX_TRACKS, 5))

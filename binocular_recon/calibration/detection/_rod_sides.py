@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the two sides of a board's rods to grey levels, below a pixel."""
+"""Fit the two sides of a board's rods to grey levels, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from binocular_recon.images import FloatImage, Mask
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8
-# Steps of the fit; the first ones move the lines only, then some keep the width expected.
+# Steps of the fit; the first ones move the lines only, the next ones keep the expected width.
 ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 # Most that a step may change C0 and C1, as a share of the width.
 LINE_STEP = 0.33
-# What the rods of an image have in common: their width against rod_diameter, S1, S2, blur (px)
-# and how the lens bends them, amid the rods and its change over BEND_REACH_PX, in BEND_UNIT
-# (1 / px): what is expected, its standard deviation, and the most that one step may change.
+# What the rods of an image have in common: width against rod_diameter, S1, S2, blur (px) and how
+# the lens bends them, at their middle and its change over BEND_REACH_PX, in BEND_UNIT (1 / px):
+# expected value, its standard deviation, and the largest change in one step.
 COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
 COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0])
 COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
 OWN = 2
-# Rows of a rod that are fitted at most; neighbours tell much the same.
+# Largest number of rows of a rod that are fitted; neighbouring rows add little.
 MAX_ROWS = 160
 # Rows this near to an edge are left out of the fit of the sides, px (and the rod's lean).
 GUARD_PX = 2.5
@@ -47,10 +47,10 @@ GUARD_PX = 2.5
 BEYOND = 0.3
 # Mean contrast of a rod's side, over dark and light bands, against the step between these.
 MIN_CONTRAST = 0.25
-# The rough lines of rods with a larger half width, px, are centred first on so many rows; a
-# contrast counts no more than this, grey levels.
+# The rough lines of rods with a larger half width than this, px, are first centred on this many
+# rows; a contrast counts no more than this, grey levels.
 WIDE_PX, CENTRE_ROWS, MAX_CONTRAST = 4.0, 40, 60.0
-# Grey levels that a row may be off before it counts less, at least.
+# Least residual above which a row is down-weighted, grey levels.
 MIN_RESIDUAL = 2.0
 
 
@@ -65,7 +65,7 @@ class RodFit(NamedTuple):
     y_scale: float
 
     def place(self, y: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the middle of the rod at row y, its direction upwards, half its width across."""
+        """Return the middle of the rod at row y, its direction upwards, and half its width."""
         p, z = self.parameters, (y - self.y_middle) / self.y_scale
         slope = (p[1] + 2 * z * p[C2]) / self.y_scale
         length = float(np.hypot(slope, 1))
@@ -82,16 +82,16 @@ def fit_rods(
 ) -> list[RodFit | None]:
     """Fit the middle lines of a board's rods to their two sides.
 
-    Each row between the marks has its own background on either side and its own level; the lines
-    are the rods' own; how much wider than expected they are, their shading and the blur are common
-    to all. Rows that do not fit (clutter, something in front) count less.
+    Each row between the marks has its own level and its own background on either side. Each rod
+    has its own line. All rods share the ratio of real to expected width, the shading and the blur.
+    Rows that do not fit (clutter, something in front) are down-weighted.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     marks_px : list of (M, 2) float64 or None
-        Rough positions of each rod's marks, NaN = unknown, at least two; None = no such rod.
+        Rough positions of each rod's marks, at least two, NaN = unknown; None = no such rod.
     edges_y : (R, M) float64
         Rows of all edges, found or not, px.
     width_px : (R, M) float64
@@ -115,7 +115,7 @@ def fit_rods(
     seen = [side for side in sides if side is not None]
     common = COMMON_START.copy()
     for step in range(ROD_STEPS if seen else 0):
-        # a blurred model first: its sides reach farther
+        # a blurred model first: it converges from farther away
         systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
         change = np.zeros(len(common))
         if step >= LINE_STEPS:
@@ -127,8 +127,8 @@ def fit_rods(
             own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
             limit = 2 * side.half_row_px[0] * LINE_STEP
             side.line = side.line + np.clip(own, -limit, limit)
-            _weigh_rows(side.rows, side.light)
-    # one rod may stand where its background varies with its bands; a board of such is none
+            _reweight_rows(side.rows, side.light)
+    # the background of one rod may vary with its bands; of most rods it cannot
     flat = [side for side in seen if not side.stands_out(common)]
     lost = flat if 2 * len(flat) > len(seen) else []
     return [None if side is None or side in lost else side.result(common) for side in sides]
@@ -136,10 +136,10 @@ def fit_rods(
 
 @dataclass(eq=False)
 class _Side:
-    """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
+    """A rod during the fit: C0, C1 in ``line``; ``rows`` as `accumulate_rows` takes them.
 
-    ``half_row_px`` is half the width along a row that is expected: R0, R1. ``bend`` (2,) is what
-    the common parameters of the lens do to C2. ``light`` (n,): which rows are in light bands.
+    ``half_row_px``: R0 and R1 of the expected half width along a row. ``bend`` (2,): derivatives
+    of C2 by the common parameters of the lens. ``light`` (n,): which rows are in light bands.
     """
 
     line: FloatArray
@@ -162,11 +162,11 @@ class _Side:
         return RodFit(self.parameters(common), self.y_middle, self.y_scale)
 
     def stands_out(self, common: FloatArray) -> bool:
-        """Return whether both sides can be told from what is beside the rod.
+        """Return whether the rod stands out from what is beside it on both sides.
 
-        A background as dark as the dark bands is darker than the light ones, so that the mean
-        contrast of both kinds of band is half their step at least; at the edge between two rows
-        of a chessboard's squares it is nothing on one side.
+        A background as dark as the dark bands is darker than the light ones, so the contrast of
+        dark and light bands together averages at least half their step. Within a column of a
+        chessboard's squares it is zero on at least one side.
         """
         seen = np.isfinite(self.rows[:, 3])
         _, _, weight, level, _, left, right = self.rows[seen].T
@@ -195,7 +195,7 @@ def _start(
     light_bands: Mask,
     x_middle: float,
 ) -> _Side:
-    """Set a rod up on the straight line through its marks."""
+    """Start the fit of a rod from the straight line through its marks."""
     order = np.argsort(-marks[:, 1])  # NaN last
     order = order[: np.isfinite(marks[:, 0]).sum()]
     known, width_px = marks[order], width_px[order]
@@ -237,16 +237,16 @@ def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatAr
 def _normal_equations(
     image: FloatImage, side: _Side, common: FloatArray, soften: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrix and gradient by C0, C1 and the common parameters.
+    """Return normal matrix and gradient for C0, C1 and the common parameters.
 
-    In units of the residuals' variance.
+    Both are divided by the variance of the residuals.
     """
     parameters = side.parameters(common)
     parameters[SIGMA] = max(common[3], soften * 2 * side.half_row_px[0])
     normal = np.zeros((ROD_PARAMETERS, ROD_PARAMETERS))
     gradient = np.zeros(ROD_PARAMETERS)
     accumulate_rows(image, side.rows, parameters, normal, gradient)
-    # how the kernels' parameters follow from the rod's own and the common ones
+    # derivatives of the kernels' parameters by the rod's own and the common ones
     combine = np.zeros((ROD_PARAMETERS, OWN + len(common)))
     combine[[C0, C1, S1, S2, SIGMA], [0, 1, 3, 4, 5]] = 1.0
     combine[[R0, R1], 2] = side.half_row_px
@@ -261,8 +261,8 @@ def _normal_equations(
     return normal / variance, gradient / variance
 
 
-def _weigh_rows(rows: FloatArray, light: Mask) -> None:
-    """Let rows count less whose residual is large or whose level is not that of their band."""
+def _reweight_rows(rows: FloatArray, light: Mask) -> None:
+    """Down-weight rows with a large residual or a level unlike that of their kind of band."""
     level, residual = rows[:, 3], rows[:, 4]
     seen = np.isfinite(residual)
     if not seen.any():

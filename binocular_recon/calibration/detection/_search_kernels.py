@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that search along lines: a wide rod's two sides, and further marks of a rod."""
+"""Kernels that search along lines for a wide rod's two sides and for further marks of a rod."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
-# Shifts of either end that are tried, as shares of the rod's half width: -4 .. 4 of these steps.
+# Step of the shifts of either end, as a share of the rod's half width; -4 .. 4 steps are tried.
 SHIFT_STEP, SHIFTS = 0.18, 4
-# How far within and beyond a side its levels are taken, as a share of the half width.
-WITHIN = 0.35
-# How near the image border a mark may be, px.
+# Distance of the samples inside and outside a side, as a share of the half width.
+OFF_SIDE = 0.35
+# Least distance of a mark from the image border, px.
 BORDER_PX = 1.0
 
-# Agreement of what is out of the image.
+# Agreement of a mark outside the image.
 OUTSIDE = -9.0
 
 
 @kernel
 def _level(image: FloatImage, x: float, y: int) -> float:
-    """Return the mean level of three pixels of a row; the border's where it is outside."""
+    """Return the mean level of three pixels of a row; at the border for one outside."""
     last = image.shape[1] - 2
     i = min(max(int(x + 0.5), 1), last)
     return float((image[y, i - 1] + image[y, i] + image[y, i + 1]) / 3)
@@ -34,15 +34,15 @@ def centre_rod(
 ) -> None:
     """Shift both ends of a line sideways until it lies between two sides.
 
-    A rod is even across and differs from what is beside it; the shift with the largest sum over
-    the rows is taken.
+    A rod is uniform across and differs from what is beside it. The shift with the largest sum of
+    contrasts over the rows is taken.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     rows : (n, k) float64
-        y and z of the rows to look at, then anything.
+        y and z of the rows used; other columns are ignored.
     line : (2,) float64
         Middle at z = 0 and its slope by z; changed in place.
     half_px : (2,) float64
@@ -63,8 +63,8 @@ def centre_rod(
                 x = line[0] + z * line[1] + SHIFT_STEP * half_px[0] * shift
                 middle = _level(image, x, y)
                 for side in (-1, 1):
-                    inner = _level(image, x + side * (1 - WITHIN) * half, y)
-                    outer = _level(image, x + side * (1 + WITHIN) * half, y)
+                    inner = _level(image, x + side * (1 - OFF_SIDE) * half, y)
+                    outer = _level(image, x + side * (1 + OFF_SIDE) * half, y)
                     total += min(abs(outer - inner), most) - min(abs(inner - middle), most)
             if total > best:
                 best, best_low, best_high = total, low, high
@@ -77,9 +77,9 @@ def centre_rod(
 def _agreement(
     middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
 ) -> float:
-    """Return how well the levels above and below x, y agree with ``levels`` (below, above).
+    """Return how well the levels below and above x, y agree with ``levels`` (below, above).
 
-    ``up`` reaches from the edge to the middle of the band above. ``OUTSIDE`` there.
+    ``up`` reaches from the edge to the middle of the band above. ``OUTSIDE`` if x, y is outside.
     """
     height, width = middle.shape
     xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
@@ -123,7 +123,7 @@ def search_line(
     rises : (2,) float64
         Distance from an edge at which levels of ``middle`` and ``near`` are compared, px.
     points, agreement : (M, 2), (M,) float64
-        Written: the marks' places and how well their levels agree.
+        Written: the marks' positions and how well their levels agree.
 
     """
     count = predicted.shape[0]
@@ -148,7 +148,7 @@ def search_line(
                     value = _agreement(
                         middle, x, y, (rise * dx, rise * dy), levels if dark_below[m] else flipped
                     )
-                    # what is out of the image tells nothing
+                    # marks outside the image count neither way
                     if value != OUTSIDE:
                         total += max(-0.5, value)
                 # equal scores: the smaller shift

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the rods of a board in an image and measure their marks below a pixel."""
+"""Find the rods of a board in an image and measure their marks to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
 
-# Smallest side of an image that is searched, px.
+# Least width and height of an image, px.
 MIN_SIZE_PX = 32
 # Grey levels between the darkest and the lightest part of an image after stretching.
 FULL_RANGE = 255.0
-# Least step of an edge, in levels of the stretched image and in standard deviations of noise.
+# Least step of an edge, in levels of the stretched image and in standard deviations of its noise.
 MIN_STEP, MIN_STEP_SIGMAS = 8.0, 4.0
 # With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
 ENOUGH = 0.6
 FURTHER_LEANS = (-0.22, 0.22)
 # Share of the marks that the only rod of a board must show.
 LONE_ROD_SHARE = 0.8
-# Arrangements of candidates looked at before giving up.
+# Layouts of candidates tried before giving up.
 MAX_LAYOUTS = 3
-# Identities adopted one after the other before giving up.
+# Identities tried one after the other before giving up.
 MAX_IDENTITIES = 3
 NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
 AMBIGUOUS = (
@@ -48,7 +48,7 @@ REVERSED = 'the rods begin with a {} band; set mark_type: {} in rods.yaml'
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """What was found of a board in one image.
+    """Marks of a board found in one image.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Detection:
     sigma_px : (R, M) float64
         One standard deviation of each mark along its rod, px; NaN = not found.
     messages : tuple of str
-        What is missing, in words a crew can act on; empty if every mark was found.
+        What is missing and what to do about it; empty if every mark was found.
 
     """
 
@@ -79,19 +79,20 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8 or uint16
-        Grey or BGR image, not rectified.
+        Grey or BGR, not rectified.
     board : RodBoard
         The rods.
 
     Returns
     -------
     Detection
-        Each mark with its rod and height, or left out if there is doubt.
+        The marks; one in doubt is left out. Where the image contradicts ``rods.yaml`` or does not
+        show which marks these are, none is found and ``messages`` says why.
 
     Raises
     ------
     ImageError
-        If the image's type or shape is another.
+        If the image has another type or shape.
 
     """
     image = _checked(image)
@@ -108,10 +109,7 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
 
 
 class _Measured(NamedTuple):
-    """A board measured in an image.
-
-    ``detection`` is empty if it is in doubt which marks those of ``refined`` are.
-    """
+    """Marks measured in an image; ``detection`` is empty if they could not be identified."""
 
     detection: Detection
     refined: Refined
@@ -122,7 +120,7 @@ class _Measured(NamedTuple):
 def _search(
     image: npt.NDArray[Any], board: RodBoard, *, leaning: bool = True
 ) -> tuple[Detection, _Measured | None]:
-    """Return the best detection, and the most that was measured of the board."""
+    """Return the best detection and the largest set of marks measured, identified or not."""
     best, most = None, None
     for grey, tracks in _searches(image, board, leaning):
         measured = _measure_best(grey, board, tracks)
@@ -144,22 +142,22 @@ def _count(measured: _Measured) -> int:
 def _shows(
     image: npt.NDArray[Any], other: RodBoard, detection: Detection, measured: _Measured | None
 ) -> bool:
-    """Return whether an image shows another board markedly better than the one detected."""
-    if measured is not None and detection.found.mean() >= ENOUGH:
-        readings = list(
-            moved_readings(measured.image, measured.averaged, other, measured.refined.marks_px)
-        )
-    else:
-        found, best = _search(image, other, leaning=False)
-        readings = [best.refined] if best is not None and found.found.mean() >= ENOUGH else []
+    """Return whether an image shows another board markedly better than the detected one."""
     own = None if measured is None else measured.refined
-    return any(explains_more(reading, own) for reading in readings)
+    if measured is not None and detection.found.mean() >= ENOUGH:
+        # no new search: the same edges, read as other marks
+        readings = moved_readings(measured.image, measured.averaged, other, measured.refined)
+        return any(explains_more(reading, own) for reading in readings)
+    found, best = _search(image, other, leaning=False)
+    # what is not compared with a board must be a good part of one
+    enough = found.found.mean() >= ENOUGH if own is None else found.found.any()
+    return bool(enough) and best is not None and explains_more(best.refined, own)
 
 
 def _searches(
     image: npt.NDArray[Any], board: RodBoard, leaning: bool
 ) -> Iterator[tuple[FloatImage, list[Track]]]:
-    """Yield stretched images with what may be rods: upright ones, then leaning ones too."""
+    """Yield stretched images with candidates for rods: upright ones, then leaning ones too."""
     upright = []
     for grey in _channels(image):
         stretched, threshold = _stretch(grey)
@@ -171,7 +169,7 @@ def _searches(
 
 
 def _measure_best(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> _Measured | None:
-    """Measure the board that the tracks look like most; None if they look like none."""
+    """Measure the most convincing layout of the tracks; None if there is none."""
     for _ in range(MAX_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
@@ -179,13 +177,13 @@ def _measure_best(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> _Me
         measured = _settle(grey, board, layout)
         if measured is not None:
             return measured
-        # regular clutter, such as a chessboard, looked more like the board
+        # regular clutter, such as a chessboard, looked more like the board: try without it
         tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
     return None
 
 
 def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | None:
-    """Measure the marks of a layout and make sure which they are; None if it is no board."""
+    """Measure the marks of a layout and identify them; None if it is not a board."""
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
     for _ in range(MAX_IDENTITIES):
         refined = _measure(image, averaged, board, rough)
@@ -210,12 +208,12 @@ def _nothing(board: RodBoard, message: str) -> Detection:
 
 
 def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: FloatArray) -> Refined:
-    """Measure the marks found roughly, then those that the board says must be there too."""
+    """Measure the rough marks, then the further ones that the board predicts."""
     size = image.shape[1], image.shape[0]
     plane = plane_marks(board, rough, size)
     refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
     for _ in range(2):
-        # what is measured tells better where the rest must be
+        # measured marks predict the others better than rough ones
         known = refined.marks_px
         plane = plane_marks(board, known, size)
         predicted = predict_marks(board, known, plane)
@@ -227,9 +225,9 @@ def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: Floa
 
 
 def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
-    """Return whether enough marks stand in line for a board: three on each of two rods.
+    """Return whether there are enough marks for a board: three on each of two rods.
 
-    A lone rod has nothing but its marks to tell it from a post with bands: most must be there.
+    Only its marks distinguish a single rod from a banded post: most must be there.
     """
     per_rod = np.isfinite(marks_px[..., 0]).sum(1)
     if board.count == 1:
@@ -239,7 +237,7 @@ def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
 
 
 def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return an image as (H, W) or (H, W, 3); raise an ImageError if it is none."""
+    """Return an image as (H, W) or (H, W, 3); raise an ImageError for any other."""
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise ImageError(
             f'an image of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
@@ -253,7 +251,7 @@ def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
-    """Yield the grey images to search, as float32: luminance, then what painted bands differ in.
+    """Yield the grey images to search, as float32: luminance, then the smallest channel.
 
     The smallest of blue, green and red is low on every strong colour and high on white.
     """
@@ -267,13 +265,13 @@ def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
 
 def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
     """Stretch an image to the full range; return it and the least step of an edge."""
-    # rods may fill no more than a thousandth of an image; the mean of pixels hides a bad one
+    # rods may fill only a thousandth of an image; averaging hides single bad pixels
     sample = cv2.resize(grey, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
     low, high = np.percentile(sample, (0.01, 99.99))
     gain = FULL_RANGE / max(float(high - low), 1e-3)
-    # black stays black: light on a round rod multiplies
+    # a gain only: shading on a round rod is a factor, so black must stay black
     stretched = grey * np.float32(gain)
-    # the median of absolute second differences tells the noise: flat places prevail
+    # noise from the median of absolute second differences: most of an image is smooth
     rows = stretched[::4]
     second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
@@ -281,7 +279,7 @@ def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
 
 
 def _messages(marks_px: FloatArray) -> tuple[str, ...]:
-    """Say what is missing."""
+    """Describe what is missing."""
     found = np.isfinite(marks_px[..., 0])
     if found.all():
         return ()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rods a crew puts up: ``rods.yaml`` and the geometry of their marks.
+"""The rods of a board: ``rods.yaml`` and the geometry of its marks.
 
-A board is one placement of several rods in a row. Board frame: x along the row, to the right as
-seen from the front, y up along the rods, z out of the board's plane towards the viewer, metres.
+A board is one row of rods, put up once. Board frame: x along the row, to the right as seen from
+the front, y up along the rods, z out of the board's plane towards the viewer, metres.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from binocular_recon.images import Mask
 
 REQUIRED_KEYS = ('rods', 'marks', 'rod_diameter', 'placement_sigma')
 OPTIONAL_KEYS = ('mark_type', 'height_sigma', 'tilt_sigma')
-# No survey rod is longer; a larger number is almost surely in millimetres.
+# No survey rod is longer: a larger number is probably in millimetres.
 MAX_ROD_LENGTH_M = 20.0
 
 
 @dataclass(frozen=True, eq=False)
 class RodBoard:
-    """Rods in a row, each with the same marks: what ``rods.yaml`` states.
+    """A row of rods, each with the same marks, as ``rods.yaml`` states it.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class RodBoard:
     mark_type: MarkType = BAND_EDGE
 
     def __post_init__(self) -> None:
-        """Bring the arrays to shape and check every value."""
+        """Convert the arrays and check every value."""
         object.__setattr__(
             self, 'rods_xz_m', np.asarray(self.rods_xz_m, np.float64).reshape(-1, 2)
         )
@@ -156,7 +156,7 @@ class RodBoard:
 
     @property
     def row_m(self) -> FloatArray:
-        """Place of each rod along and off its row: (R, 2) float64, m."""
+        """Position of each rod along and off the row: (R, 2) float64, m."""
         return row_of(self.rods_xz_m)
 
     def world_points(self) -> FloatArray:
@@ -244,7 +244,7 @@ def load_rods(path: str | Path) -> RodBoard:
         raise FileError(f'{path} is not valid YAML: {detail}') from error
     if not isinstance(values, Mapping):
         raise CalibrationError(
-            f'{path} holds no rods: expected the keys {", ".join(REQUIRED_KEYS)}'
+            f'{path} holds no rods; expected the keys {", ".join(REQUIRED_KEYS)}'
         )
     try:
         return RodBoard.from_mapping(values)
@@ -270,7 +270,7 @@ def save_rods(board: RodBoard, path: str | Path) -> None:
 
 
 def row_of(places_m: FloatArray) -> FloatArray:
-    """Turn places x, z (N, 2), m, about the y axis until their line of best fit lies along x."""
+    """Rotate positions x, z (N, 2), m, about the y axis until their best line lies along x."""
     x, z = places_m.T
     centred = x - x.mean()
     slope = centred @ z / max(float(centred @ centred), 1e-9)

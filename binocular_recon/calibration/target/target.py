@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras look at: rods whose places are known roughly, or points known exactly."""
+"""Geometry of a target: rods whose places are known roughly, or points known exactly."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class Target:
         marks, _ = self.marks(np.zeros((len(self.anchors_m), 5)))
         return marks
 
-    def as_drawn(self) -> Target:
-        """Return the target as the planar method takes it: exact and without thickness."""
+    def exact(self) -> Target:
+        """Return the target as the planar method takes it: exact rods without thickness."""
         return Target(self.anchors_m, self.heights_m, np.zeros(5))
 
     def marks(self, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
