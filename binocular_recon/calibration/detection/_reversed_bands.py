@@ -31,17 +31,8 @@ def moved_readings(
 ) -> Iterator[Refined]:
     """Read the same edges as marks one lower and one higher; yield readings that find more.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-        Grey levels.
-    averaged : Averaged
-        The same, averaged for the search of marks.
-    board : RodBoard
-        The board with the other type of marks.
-    own : Refined
-        Marks found with the type that ``rods.yaml`` states.
-
+    ``own`` are the marks found with the type that ``rods.yaml`` states; ``board`` has the other
+    type.
     """
     size = image.shape[1], image.shape[0]
     for shift in (-1, 1):
