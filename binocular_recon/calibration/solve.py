@@ -114,7 +114,7 @@ def calibrate(
     return CalibrationResult(
         names=tuple(usable[i].name for i in adjusted.boards),
         rig=rig,
-        planar=_stage(planar, target.as_drawn(), used, _rows(used)),
+        planar=_stage(planar, target.exact(), used, _rows(used)),
         corrected=corrected,
         adjusted=final,
         estimate=adjusted,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 Canvas = npt.NDArray[np.float32]
 Spans = npt.NDArray[np.int64]
@@ -17,7 +18,7 @@ Spans = npt.NDArray[np.int64]
 MISS = -1
 # Fixed-point steps; each gains about a factor of 10 on ordinary lenses.
 UNDISTORT_STEPS = 8
-# Rays to a pixel that an edge crosses: SUB x SUB, no two on one row or column.
+# Rays per pixel across an edge or side: SUB x SUB, no two in one row or column.
 SUB = 8
 
 
@@ -47,7 +48,7 @@ def rays_of_pixels(pixels: FloatArray, camera: FloatArray, rays: FloatArray) -> 
 
 @kernel
 def _hit(u: float, v: float, rod: FloatArray, marks: FloatArray) -> tuple[int, float]:
-    """Return the band that a ray hits (MISS = none) and the light it sends back.
+    """Return the band that a ray hits (MISS = none) and the light that it reflects.
 
     ``rod`` is foot (3), direction (3), sun (3), radius, length, ambient, grime, seed.
     """
@@ -94,9 +95,13 @@ def draw_cylinder(
     camera: FloatArray,
     rod: FloatArray,
     marks: FloatArray,
+    light_bands: Mask,
     colors: FloatArray,
 ) -> None:
-    """Draw a banded cylinder over ``canvas`` (H, W, 3), within ``spans`` (row, first, last)."""
+    """Draw a banded cylinder over ``canvas`` (H, W, 3), within ``spans`` (row, first, last).
+
+    ``light_bands`` (M + 1,) and ``colors`` (2, 3): which bands have the second colour.
+    """
     for k in range(spans.shape[0]):
         y = spans[k, 0]
         for x in range(spans[k, 1], spans[k, 2] + 1):
@@ -104,9 +109,9 @@ def draw_cylinder(
             if uniform:
                 if band != MISS:
                     for c in range(3):
-                        canvas[y, x, c] = light * colors[band % 2, c]
+                        canvas[y, x, c] = light * colors[int(light_bands[band]), c]
                 continue
-            dark, bright, covered = _cover(x, y, camera, rod, marks)
+            dark, bright, covered = _cover(x, y, camera, rod, marks, light_bands)
             for c in range(3):
                 canvas[y, x, c] = (
                     (1 - covered) * canvas[y, x, c] + dark * colors[0, c] + bright * colors[1, c]
@@ -132,7 +137,7 @@ def _probe(
 
 @kernel
 def _cover(
-    x: int, y: int, camera: FloatArray, rod: FloatArray, marks: FloatArray
+    x: int, y: int, camera: FloatArray, rod: FloatArray, marks: FloatArray, light_bands: Mask
 ) -> tuple[float, float, float]:
     """Return the light from dark bands, from light bands, and the covered share of a pixel."""
     dark = bright = 0.0
@@ -146,7 +151,7 @@ def _cover(
             band, light = _hit(u, v, rod, marks)
             if band != MISS:
                 hits += 1
-                if band % 2:
+                if light_bands[band]:
                     bright += light
                 else:
                     dark += light

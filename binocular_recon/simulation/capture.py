@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pair of pictures of one board over clutter, with what is true about its marks."""
+"""An image pair of one board in front of clutter, with the true positions of its marks."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ from binocular_recon.simulation.rig import RawRig, View
 from binocular_recon.simulation.rods import PlacedBoard, draw_board
 
 BACKDROP_DEPTH_M = 30.0
-# A mark counts as visible if nothing hides the middle of the rod this far along it ...
+# A mark is visible if nothing hides the middle of the rod this far along it ...
 CLEAR_ALONG_PX = 2.5
-# ... nor this share of its width across, and it is this far inside the picture.
+# ... and this share of its width across, and if it is this far inside the image.
 CLEAR_ACROSS = 0.6
-FRAME_MARGIN_PX = 3.0
+BORDER_MARGIN_PX = 3.0
 
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What makes a simulated capture hard.
+    """Difficulties of a simulated capture.
 
     Attributes
     ----------
     occluded, cut, tilted : bool
-        Something hides a stretch of a rod; the frame cuts a rod; the board leans 10-20 degrees.
+        Something hides a stretch of a rod; the image border cuts a rod; the board leans by 10 to
+        20 degrees.
     blur_px : float
         Blur of lens and sensor, standard deviation, px.
     noise : float
@@ -52,7 +53,7 @@ class CaptureOptions:
     kinds : tuple of str
         Painted backgrounds to choose from.
     photographs : tuple of (H, W, 3) uint8
-        Photographs to choose from besides; half of the captures use one.
+        Photographs to choose from as well; half of the captures use one.
 
     """
 
@@ -69,7 +70,7 @@ class CaptureOptions:
 def mixed_options(
     rng: np.random.Generator, photographs: tuple[ByteImage, ...] = (), **changes: Any
 ) -> CaptureOptions:
-    """Draw difficulties: 30 % of boards occluded, 20 % cut by the frame, 20 % tilted."""
+    """Draw difficulties: 30 % of boards occluded, 20 % cut by the border, 20 % tilted."""
     return CaptureOptions(
         occluded=bool(rng.random() < 0.3),
         cut=bool(rng.random() < 0.2),
@@ -81,18 +82,18 @@ def mixed_options(
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCapture:
-    """Pictures of a board and the truth about it.
+    """Images of a board with the ground truth.
 
     Attributes
     ----------
     left, right : (H, W, 3) uint8
-        Raw pictures.
+        Raw images.
     placed : PlacedBoard
         The rods as they stand.
     left_px, right_px : (R, M, 2) float64
-        Where each camera sees the borders on the rods' surface, px.
+        Where each camera sees the marks, px.
     left_visible, right_visible : (R, M) bool
-        Whether they can be seen there: inside the picture and not hidden.
+        Whether they are visible: inside the image and not hidden.
 
     """
 
@@ -144,7 +145,7 @@ def simulate_capture(
             covered = draw_billboard(canvas, view, billboard)
             np.maximum(opacity, covered, out=opacity)
         images.append(expose(canvas, sensor, rng))
-        pixels.append(placed.borders_px(view))
+        pixels.append(placed.marks_px(view))
         visible.append(visible_marks(placed, view, opacity))
     return SimulatedCapture(
         images[0], images[1], placed, pixels[0], pixels[1], visible[0], visible[1]
@@ -156,11 +157,11 @@ def visible_marks(
 ) -> npt.NDArray[np.bool_]:
     """Return which marks can be seen: (R, M) bool.
 
-    Inside the picture with both sides of the rod, and nothing opaque within ``CLEAR_ALONG_PX``
-    along the rod on the middle ``CLEAR_ACROSS`` of its width.
+    A mark is visible if both sides of the rod are inside the image, and nothing opaque is within
+    ``CLEAR_ALONG_PX`` along the rod on the middle ``CLEAR_ACROSS`` of its width.
     """
     marks = placed.marks_xyz()
-    center = placed.borders_px(view)
+    center = placed.marks_px(view)
     along = view.project(marks + 0.01 * placed.directions_xyz[:, None]) - view.project(marks)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     depth = (marks @ view.R.T + view.T)[..., 2]
@@ -172,10 +173,10 @@ def visible_marks(
         + CLEAR_ALONG_PX * s.ravel()[:, None] * along[..., None, :]
         + CLEAR_ACROSS * t.ravel()[:, None] * (width[..., None] * across)[..., None, :]
     )
-    limit = np.array(view.camera.size) - 1 - FRAME_MARGIN_PX
+    limit = np.array(view.camera.size) - 1 - BORDER_MARGIN_PX
     half = 0.5 * width[..., None] * across
     ends = np.stack([center - half, center, center + half])
-    inside = np.all((ends >= FRAME_MARGIN_PX) & (ends <= limit), (0, -1))
+    inside = np.all((ends >= BORDER_MARGIN_PX) & (ends <= limit), (0, -1))
     probe = np.nan_to_num(probe, nan=-1e6).astype(np.float32)
     hidden = cv2.remap(
         opacity, probe[..., 0].reshape(-1, 1), probe[..., 1].reshape(-1, 1), cv2.INTER_LINEAR
@@ -201,7 +202,7 @@ def _draw_paint(board: RodBoard, rng: np.random.Generator) -> RodPaint:
 
 
 def _backdrop(rig: RawRig, options: CaptureOptions, rng: np.random.Generator) -> Billboard:
-    """Return a photograph or a painted plane behind the rods that fills both views."""
+    """Return a photograph or a painted plane behind the rods, large enough for both views."""
     width, height = (int(1.25 * side) for side in rig.left.size)
     if options.photographs and (not options.kinds or rng.random() < 0.5):
         texture = options.photographs[rng.integers(len(options.photographs))]
@@ -219,7 +220,7 @@ def _backdrop(rig: RawRig, options: CaptureOptions, rng: np.random.Generator) ->
 
 
 def _occluders(placed: PlacedBoard, rig: RawRig, rng: np.random.Generator) -> list[Billboard]:
-    """Return one or two things that hide a stretch of some rods, at most half of its marks."""
+    """Return one or two things that hide a stretch of some rods, up to half of a rod's marks."""
     while True:
         billboards = [_occluder(placed, rng) for _ in range(rng.integers(1, 3))]
         for view in rig.views():

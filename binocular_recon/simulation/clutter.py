@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Painted backgrounds that a rod detector must not be fooled by."""
+"""Painted backgrounds that must not fool a rod detector."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _facade(size: tuple[int, int], rng: np.random.Generator) -> GreyField:
 
 
 def _grass(size: tuple[int, int], rng: np.random.Generator) -> GreyField:
-    """Blades of grass, light and dark, over the whole picture."""
+    """Blades of grass, light and dark, over the whole image."""
     width, height = size
     image = _shade(fractal_noise(size, 128, rng), (60, 110, 100), 0.3)
     canvas = np.ascontiguousarray(np.clip(image, 0, 255).astype(np.uint8))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray-cast pictures of banded rods before painted planes, as a camera's sensor delivers them."""
+"""Ray-cast images of banded rods in front of painted planes, as a camera delivers them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from binocular_recon.simulation.rods import PlacedBoard
 
 Canvas = npt.NDArray[np.float32]
 
-# Rays of flat pictures are exact at every 16th pixel and interpolated between (0.01 px).
+# Rays to flat images are exact at every 16th pixel and interpolated between (0.01 px).
 GRID_PX = 16
 # Points at which a rod's outline is projected before its rows are filled.
 OUTLINE_POINTS = 65
@@ -30,7 +30,7 @@ class RodPaint:
     Attributes
     ----------
     dark_bgr, light_bgr : tuple of float
-        Colours of the bands, dark below the first mark.
+        Colours of the dark and the light bands.
     length_m : float
         Foot to top.
     sun_xyz : tuple of float
@@ -52,15 +52,15 @@ class RodPaint:
 
 @dataclass(frozen=True, eq=False)
 class Billboard:
-    """A flat picture standing in the scene.
+    """A flat image standing in the scene.
 
     Attributes
     ----------
     texture : (h, w, 3) uint8
         Colours.
     alpha : (h, w) uint8 or None
-        255 where the picture hides what is behind it; None = everywhere, and mirrored on beyond
-        its border.
+        255 where the image hides what is behind it; None = everywhere, mirrored beyond its
+        border.
     corner_xyz : (3,) float64
         Centre of the top left pixel in the rig's frame, m.
     right_xyz, down_xyz : (3,) float64
@@ -77,7 +77,7 @@ class Billboard:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What the camera does to the light: ``gain * image + offset``, blur, noise, 8 bits."""
+    """Response of the camera: blur, ``gain * image + offset``, noise, 8 bits."""
 
     gain: float = 1.0
     offset: float = 0.0
@@ -86,7 +86,7 @@ class Sensor:
 
 
 def draw_backdrop(view: View, backdrop: Billboard) -> Canvas:
-    """Return the picture of a plane that fills the view: (H, W, 3) float32, grey levels."""
+    """Render a plane that fills the view: (H, W, 3) float32, grey levels."""
     columns, rows = _texture_coordinates(view, backdrop)
     image: Canvas = cv2.remap(
         backdrop.texture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
@@ -116,7 +116,7 @@ def draw_billboard(canvas: Canvas, view: View, billboard: Billboard) -> Canvas:
 
 
 def billboard_opacity(view: View, billboard: Billboard) -> Canvas:
-    """Return what a billboard covers of a view: (H, W) float32, opacity 0..1."""
+    """Return how much of each pixel a billboard covers: (H, W) float32, opacity 0..1."""
     columns, rows = _texture_coordinates(view, billboard)
     alpha = cv2.remap(
         billboard.alpha, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
@@ -128,19 +128,20 @@ def billboard_opacity(view: View, billboard: Billboard) -> Canvas:
 def draw_rods(canvas: Canvas, view: View, placed: PlacedBoard, paint: RodPaint) -> None:
     """Ray-cast the rods of a board over ``canvas`` in place, the farthest first.
 
-    Edges of rods and bands are anti-aliased with 64 rays to the pixel.
+    Sides of rods and edges of bands are anti-aliased with 64 rays per pixel.
     """
     feet = placed.feet_xyz @ view.R.T + view.T
     directions = placed.directions_xyz @ view.R.T
     sun = view.R @ np.array(paint.sun_xyz)
     colors = np.array([paint.dark_bgr, paint.light_bgr])
-    radius = placed.board.rod_diameter_m / 2
+    board = placed.board
+    radius = board.rod_diameter_m / 2
     for i in np.argsort(-feet[:, 2]):
         spans = _spans(view.camera, feet[i], directions[i], paint.length_m, radius)
         rod = np.concatenate(
             [feet[i], directions[i], sun, [radius, paint.length_m, paint.ambient, paint.grime, i]]
         )
-        draw_cylinder(canvas, spans, view.numbers, rod, placed.board.marks_m, colors)
+        draw_cylinder(canvas, spans, view.numbers, rod, board.marks_m, board.light_bands, colors)
 
 
 def expose(canvas: Canvas, sensor: Sensor, rng: np.random.Generator) -> ByteImage:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards of rods as they really stand, and where the cameras see their marks."""
+"""Boards as they really stand, and where the cameras see their marks."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon.calibration.target.rods import RodBoard, visible_borders
+from binocular_recon.calibration.target.board_plane import inside_image
+from binocular_recon.calibration.target.mark_types import visible_edges
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.simulation.rig import RawRig, View
 
 # Board frame (x right, y up, z to the viewer) seen by a camera in front of it.
 FACING_CAMERA = np.diag([1.0, -1.0, -1.0])
-# Poses drawn before a board is taken not to fit.
-TRIES = 3000
+# Poses tried before giving up.
+MAX_TRIES = 3000
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedBoard:
-    """One board in the rig's reference frame, each rod a line of its own.
+    """One board in the rig's reference frame; each rod is a line of its own.
 
     Attributes
     ----------
     board : RodBoard
-        What the crew believes.
+        The nominal board of ``rods.yaml``.
     rotation, translation_xyz : (3, 3), (3,) float64
         Pose of the nominal board: ``x = rotation x_board + translation``, m.
     feet_xyz : (R, 3) float64
@@ -50,17 +51,14 @@ class PlacedBoard:
         marks: FloatArray = self.feet_xyz[:, None] + heights * self.directions_xyz[:, None]
         return marks
 
-    def borders_px(self, view: View) -> FloatArray:
-        """Return where ``view`` sees the borders of the bands: (R, M, 2) float64, px.
-
-        The point is the border's on the surface facing the camera; it may lie out of the picture.
-        """
+    def marks_px(self, view: View) -> FloatArray:
+        """Return where ``view`` sees the marks, inside the image or not: (R, M, 2) float64, px."""
         return view.project(
-            visible_borders(
+            visible_edges(
                 self.marks_xyz(),
                 self.directions_xyz[:, None],
                 view.centre_xyz,
-                self.board.rod_diameter_m / 2,
+                self.board.mark_offset_m,
             )
         )
 
@@ -75,7 +73,7 @@ class PlacedBoard:
 
 
 def paper_board(placement_m: float = 0.005) -> RodBoard:
-    """Return the paper's board, 5 rods of 6 marks, standing as exactly as ``placement_m``."""
+    """Return the paper's board, 5 rods of 6 marks, with placement sigma ``placement_m``."""
     return RodBoard.from_mapping(
         {
             'rods': [{'x': 0.6 * i} for i in range(5)],
@@ -102,7 +100,7 @@ def place_board(
     translation_xyz: FloatArray,
     rng: np.random.Generator,
 ) -> PlacedBoard:
-    """Put a board up with errors drawn from its own placement, height and tilt sigmas.
+    """Place a board with errors drawn from its own placement, height and tilt sigmas.
 
     Parameters
     ----------
@@ -140,7 +138,7 @@ def draw_board(
     cut: bool = False,
     margin_px: float = 5.0,
 ) -> PlacedBoard:
-    """Draw a board in the view of both cameras, as a crew would put it up.
+    """Place a board at random in the view of both cameras.
 
     Parameters
     ----------
@@ -153,20 +151,20 @@ def draw_board(
     depth_m : tuple of float
         Range of the board's distance.
     roll_rad : tuple of float
-        Range of the board's tilt in the picture, to either side.
+        Range of the board's tilt in the image, to the left or right.
     cut : bool
-        True: the frame cuts some rod in some picture, but each shows most marks; False: every mark
-        is at least ``margin_px`` inside both pictures.
+        True: the image border cuts a rod in at least one image, but both show most marks; False:
+        every mark is at least ``margin_px`` inside both images.
     margin_px : float
-        Distance of a seen mark from the frame.
+        Distance of a seen mark from the image border.
 
     Raises
     ------
     CalibrationError
-        If the board does not fit into both pictures within ``depth_m``.
+        If the board does not fit into both images within ``depth_m``.
 
     """
-    for _ in range(TRIES):
+    for _ in range(MAX_TRIES):
         z = rng.uniform(*depth_m)
         pose = [rng.uniform(-0.15, 0.15), rng.uniform(-0.9, 0.9)]
         pose.append(rng.choice([-1, 1]) * rng.uniform(*roll_rad))
@@ -176,7 +174,10 @@ def draw_board(
             middle[1] += rng.uniform(-0.1, 0.15) * z
         placed = place_board(board, np.array(pose), np.array(middle), rng)
         seen = np.stack(
-            [inside(placed.borders_px(view), view.camera.size, margin_px) for view in rig.views()]
+            [
+                inside_image(placed.marks_px(view), view.camera.size, margin_px)
+                for view in rig.views()
+            ]
         )
         per_rod = seen.all(0).sum(1)
         if seen.all() and not cut:
@@ -186,13 +187,6 @@ def draw_board(
             return placed
     raise CalibrationError(
         f'a board {np.ptp(board.rods_xz_m[:, 0]):g} m wide and {board.marks_m[-1]:g} m high does'
-        f' not fit into both pictures at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or'
+        f' not fit into both images at {depth_m[0]:g}..{depth_m[1]:g} m; use fewer rods or'
         ' more depth'
     )
-
-
-def inside(pixels: FloatArray, size: tuple[int, int], margin_px: float) -> npt.NDArray[np.bool_]:
-    """Return which pixels (..., 2) lie at least ``margin_px`` inside a picture of ``size``."""
-    limit = np.array(size) - 1 - margin_px
-    within: npt.NDArray[np.bool_] = np.all((pixels >= margin_px) & (pixels <= limit), axis=-1)
-    return within

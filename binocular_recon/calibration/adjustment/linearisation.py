@@ -191,7 +191,7 @@ def _border_derivatives(
     """Return the visible border and its derivatives by axis point and direction, (..., 3, 3).
 
     The camera is at the origin; the border is the point of the ring around the axis that is
-    nearest to it (`rods.visible_borders`).
+    nearest to it (`mark_types.visible_edges`).
     """
     along = np.sum(point * direction, axis=-1, keepdims=True)
     away = point - along * direction

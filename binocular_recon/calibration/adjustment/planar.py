@@ -91,10 +91,10 @@ def calibrate_planar(
     start = State(
         calibration, left.rotations, left.translations_m, np.zeros((count, target.shape[0], 5))
     )
-    errors = np.abs(observed_px - predict(start, target.as_drawn()))
+    errors = np.abs(observed_px - predict(start, target.exact()))
     noise = np.full(2, max(np.nanmedian(errors) / 0.6745, NOISE_FLOOR_PX))
     free = free_parameters(DEFAULT_COEFFICIENTS)
-    return minimise(Problem(target.as_drawn(), observed_px, free, noise), start)
+    return minimise(Problem(target.exact(), observed_px, free, noise), start)
 
 
 def _calibrate_camera(

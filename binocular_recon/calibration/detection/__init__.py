@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection: the rods of a board are found in an image and their marks measured.
+"""Detection: find the rods of a board in an image and measure their marks to subpixel accuracy.
 
-`detect` runs the steps: rods are searched (`_rod_search`), told apart (`_board_layout`,
-`_identity`), and their edges and marks fitted below a pixel (`_rod_sides`, `_border_fit`,
-`_refinement`). Exports `detect_rods` and its result.
+`detect` runs the steps: search for rods (`_rod_search`), decide which rod and which mark each one
+is (`_board_layout`, `_identity`), and fit their sides and edges (`_rod_sides`, `_edge_fit`,
+`_refinement`). `_reversed_bands` notices a wrong ``mark_type``. Exports `detect_rods` and its
+result.
 """
 
 from typing import TYPE_CHECKING

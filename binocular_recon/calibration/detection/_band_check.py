@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell the borders between two bands from the ends of a rod.
+"""Check the grey levels at edges: reject odd ones, and distinguish edges from ends of a rod.
 
-A dark foot on light ground looks like a border with a light band below it. What is below differs
+A dark foot on light ground looks like an edge with a light band below. But the ground differs
 from the rod's light bands, and not from what is beside it.
 """
 
@@ -9,27 +9,60 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.detection._border_fit import BorderFit
+from binocular_recon.calibration.detection._edge_fit import MAX_RESIDUAL, EdgeFit
 from binocular_recon.calibration.detection._rod_sides import RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
-# Distances from the border along the rod that are looked at, px.
+# Distances from the edge, along the rod, of the samples, px.
 ALONG_PX = np.linspace(2.0, 6.0, 5)
-# Places across: on the rod as shares of its half width, beside it from its sides, px.
+# Samples across: on the rod, as shares of its half width; beside it, px from its sides.
 ACROSS = np.array([-0.4, 0.0, 0.4])
 BESIDE_PX = np.array([2.0, 3.0])
-# A band's level may differ from its kind's by this share of the step.
+# A band's level may differ from that of the other dark or light bands by this share of the step.
 LEVEL_SPREAD = 0.06
+# A rod visibly goes on where its level is right within the first of these shares of the step and
+# differs from what is beside it by the second.
+SAME_LEVEL, MIN_CONTRAST = 0.2, 0.1
+# An edge's step against the median of the board; levels of a band, as a share of the step.
+MIN_STEP, MAX_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
+
+
+def reject_odd_looking(table: list[list[EdgeFit | None]], dark_below: Mask) -> None:
+    """Drop edges whose step, levels or residual differ from those of the board's others."""
+    levels = [
+        _dark_and_light(fit, dark)
+        for row in table
+        for fit, dark in zip(row, dark_below, strict=True)
+        if fit
+    ]
+    if not levels:
+        return
+    dark, light = np.median(levels, axis=0)
+    typical = light - dark
+    for row in table:
+        for m, fit in enumerate(row):
+            if fit is None:
+                continue
+            own_dark, own_light = _dark_and_light(fit, dark_below[m])
+            step = own_light - own_dark
+            off = max(abs(own_dark - dark), abs(own_light - light))
+            if (
+                not MIN_STEP * typical < step < MAX_STEP * typical
+                or off > LEVEL_RANGE * typical
+                or fit.residual > MAX_RESIDUAL * step
+            ):
+                row[m] = None
 
 
 def rod_ends(
     image: FloatImage,
     rods: list[RodFit | None],
-    table: list[list[BorderFit | None]],
+    table: list[list[EdgeFit | None]],
+    light_bands: Mask,
     usual: FloatArray | None,
-) -> tuple[Mask, FloatArray]:
-    """Return which borders have a band of the rod on one side only.
+) -> tuple[Mask, FloatArray, Mask]:
+    """Return which edges are ends of a rod, and on which sides of each the rod visibly goes on.
 
     Parameters
     ----------
@@ -37,43 +70,49 @@ def rod_ends(
         Grey levels.
     rods : list of RodFit or None
         Middle lines and widths of the rods.
-    table : list of list of BorderFit or None
-        Borders of each rod, None = not found; below the first one it is dark.
+    table : list of list of EdgeFit or None
+        Edges of each rod, None = not found.
+    light_bands : (M + 1,) bool
+        Which bands are light, from the lowest up.
     usual : (2,) float64 or None
-        Levels of dark and light bands; None = those of these borders.
+        Levels of dark and light bands; None = measure them at these edges.
 
     Returns
     -------
     ends : (R, M) bool
     usual : (2,) float64
         Levels of dark and light bands, NaN = unknown.
+    goes_on : (R, M, 2) bool
+        Whether the rod visibly goes on below and above each edge.
 
     """
     found = np.array([[fit is not None for fit in row] for row in table])
-    # on the rod and beside it, below and above each border
+    # on the rod and beside it, below and above each edge
     levels = np.full((*found.shape, 2, 2), np.nan)
     for r, (rod, row) in enumerate(zip(rods, table, strict=True)):
         for m, fit in enumerate(row):
             if rod is not None and fit is not None:
                 levels[r, m] = _levels(image, rod, fit)
     on, beside = levels[..., 0], levels[..., 1]
-    light = (np.arange(found.shape[1])[:, None] + np.arange(2)) % 2 == 1
+    light = np.stack([light_bands[:-1], light_bands[1:]], -1)
     if usual is None:
         kinds = (on[:, kind] for kind in (~light, light))
         usual = np.array([np.nanmedian(k) if np.isfinite(k).any() else np.nan for k in kinds])
     dark, bright = usual
     odd = np.abs(on - np.where(light, bright, dark))
     with np.errstate(invalid='ignore'):
-        absent = (odd > LEVEL_SPREAD * (bright - dark)) & (np.abs(on - beside) < 0.5 * odd)
-    return _outermost(found, absent[..., 0]) | _outermost(found[:, ::-1], absent[:, ::-1, 1])[
-        :, ::-1
-    ], usual
+        contrast, step = np.abs(on - beside), bright - dark
+        absent = (odd > LEVEL_SPREAD * step) & (contrast < 0.5 * odd)
+        goes_on = (odd < SAME_LEVEL * step) & (contrast > MIN_CONTRAST * step)
+    lower = _outermost(found, absent[..., 0])
+    upper = _outermost(found[:, ::-1], absent[:, ::-1, 1])[:, ::-1]
+    return lower | upper, usual, goes_on
 
 
 def _outermost(found: Mask, absent: Mask) -> Mask:
-    """Return the first borders of rods beyond which nothing is, if most rods agree on the mark.
+    """Return the first edges of rods with nothing beyond, where most rods agree on the mark.
 
-    One alone may be hidden or stand before something as even.
+    On a single rod the band beyond may be hidden, or its background may be just as even.
     """
     first = found & (np.cumsum(found, axis=1) == 1)
     bare = first & absent
@@ -84,8 +123,8 @@ def _outermost(found: Mask, absent: Mask) -> Mask:
     return ends
 
 
-def _levels(image: FloatImage, rod: RodFit, fit: BorderFit) -> FloatArray:
-    """Return the levels on the rod and beside it, below and above a border: (2, 2)."""
+def _levels(image: FloatImage, rod: RodFit, fit: EdgeFit) -> FloatArray:
+    """Return the levels on the rod and beside it, below and above an edge: (2, 2)."""
     _, up, half = rod.place(fit.point_px[1])
     right = np.array([-up[1], up[0]])
     beside = np.concatenate([-half - BESIDE_PX, half + BESIDE_PX])
@@ -100,3 +139,8 @@ def _levels(image: FloatImage, rod: RodFit, fit: BorderFit) -> FloatArray:
             seen = image[y[inside], x[inside]]
             levels[side, kind] = np.median(seen) if seen.size else np.nan
     return levels
+
+
+def _dark_and_light(fit: EdgeFit, dark_below: bool) -> tuple[float, float]:
+    """Return the levels of the bands that should be dark and light at an edge."""
+    return (fit.below, fit.above) if dark_below else (fit.above, fit.below)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look where the board says that further marks must be."""
+"""Look for further marks where the board predicts them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Agreement of the grey levels around a border with the rods' own that makes it a mark
-# (1 = equal, 0 = no border).
+# Least agreement of the grey levels around a mark with those of the bands (1 = equal, 0 = no
+# edge).
 AGREEMENT = 0.45
-# Marks of a rod that vouch for each other: a lone one may be a corner of something else.
-LEAST_MARKS = 2
-# Something in front of the rod may come as near to a border as this, px.
+# Least number of marks of a rod: a single one may be a corner of something else.
+MIN_MARKS = 2
+# Something in front of the rod may come this near to an edge, px.
 NEAR_RISE_PX = 2.0
 
 
 class Averaged(NamedTuple):
-    """A picture averaged for rods of one width, in which marks are looked for.
+    """An image averaged over boxes that suit rods of one width, for the search of marks.
 
-    ``middle`` over the rod's width and a good part of it along the rod, ``near`` over few rows;
-    ``rises_px`` (2,): how far from a border their levels are compared.
+    ``middle``: boxes as long as 0.7 widths; ``near``: of three rows. ``rises_px`` (2,): how far
+    below and above an edge the levels of each are compared.
     """
 
     middle: FloatImage
@@ -38,7 +38,7 @@ class Averaged(NamedTuple):
 
     @classmethod
     def of(cls, image: FloatImage, width_px: float) -> Averaged:
-        """Average a picture (H, W) for rods about ``width_px`` wide."""
+        """Average an image (H, W) for rods about ``width_px`` wide."""
         mid, tall = max(0, round(0.25 * width_px)), max(1, round(0.35 * width_px))
         middle = cv2.blur(image, (2 * mid + 1, 2 * tall + 1))
         near = cv2.blur(image, (2 * mid + 1, 3))
@@ -48,14 +48,14 @@ class Averaged(NamedTuple):
 def complete(
     averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray:
-    """Add the marks that the picture shows where the board says they must be.
+    """Add the marks that the image shows where the board predicts them.
 
     Parameters
     ----------
     averaged : Averaged
-        The picture.
+        The image.
     board : RodBoard
-        Places of rods and marks.
+        Positions of rods and marks.
     marks_px : (R, M, 2) float64
         Marks found so far, px; NaN = not found.
     predicted : (R, M, 2) float64
@@ -67,7 +67,7 @@ def complete(
         Those and the new ones, the new ones to about 2 px.
 
     """
-    levels = _levels(averaged.middle, marks_px, predicted, averaged.rises_px[0])
+    levels = _levels(averaged, board, marks_px, predicted)
     if levels is None:
         return marks_px
     completed = marks_px.copy()
@@ -81,30 +81,41 @@ def complete(
         agreement = np.zeros(board.marks_per_rod)
         middle, near, rises, _ = averaged
         if known < 2:
-            # only a rod whose place is known may be looked at right beside the border
+            # a rod whose place is not known needs the larger boxes
             near, rises = middle, rises[[0, 0]]
-        search_line(middle, near, predicted[rod], window, levels, rises, points, agreement)
+        search_line(
+            middle,
+            near,
+            predicted[rod],
+            board.dark_below,
+            window,
+            levels,
+            rises,
+            points,
+            agreement,
+        )
         new = missing & (agreement > AGREEMENT)
-        if missing.all() and new.sum() < LEAST_MARKS:
+        if missing.all() and new.sum() < MIN_MARKS:
             continue
         completed[rod, new] = points[new]
     return completed
 
 
 def _levels(
-    middle: FloatImage, marks_px: FloatArray, predicted: FloatArray, rise: float
+    averaged: Averaged, board: RodBoard, marks_px: FloatArray, predicted: FloatArray
 ) -> FloatArray | None:
-    """Return the grey levels of dark and light bands next to the marks found: (2,) float64."""
+    """Return the grey levels of dark and light bands at the marks found: (2,) float64."""
+    middle, rise = averaged.middle, averaged.rises_px[0]
     size = np.array(middle.shape[::-1]) - 1
     up = predicted[:, -1] - predicted[:, 0]
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     samples = []
-    for mark in range(marks_px.shape[1]):
+    for mark, dark_below in enumerate(board.dark_below):
         for side in (-1, 1):
             points = marks_px[:, mark] + side * rise * up
             points = points[np.isfinite(points[:, 0])]
             x, y = np.clip(np.rint(points), 0, size).astype(int).T
-            samples += [((side > 0) == (mark % 2 == 0), level) for level in middle[y, x]]
+            samples += [((side > 0) == dark_below, level) for level in middle[y, x]]
     dark = [level for light, level in samples if not light]
     light = [level for light, level in samples if light]
     if not dark or np.median(light) <= np.median(dark):
@@ -115,7 +126,7 @@ def _levels(
 def _window(
     board: RodBoard, everywhere: FloatArray, rod: int, found: int, width_px: float
 ) -> FloatArray:
-    """Return how far off a rod's marks may be, sideways and along the rod, and the steps."""
+    """Return how far to search sideways and along a rod, and the step of either, px: (4,)."""
     predicted = everywhere[rod]
     scale = float(np.linalg.norm(predicted[-1] - predicted[0])) / np.ptp(board.marks_m)
     gap = scale * float(np.diff(board.marks_m).min())
@@ -129,5 +140,5 @@ def _window(
         along = 2 + 0.05 * gap
     else:
         side, along = 0.3 * width_px, 1.5 + 0.04 * gap
-    # however far the window reaches, at most so many places are tried
+    # the number of steps is limited, however far the window reaches
     return np.array([side, along, max(1.0, 0.25 * width_px, side / 10), max(1.0, along / 15)])

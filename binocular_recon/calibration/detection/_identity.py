@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make sure which rods and heights the marks are: a wrong identity is worse than a missing mark.
+"""Decide which rods and heights the marks are: a wrong identity is worse than a missing mark.
 
-With even spacing a board of which a part is seen looks the same shifted by a rod or by two marks,
-and every other rod looks like a board turned more.
-Every reading is followed to its consequences: marks must then be elsewhere too, and are there or
-not.
+With even spacing, a part of a board looks the same shifted by a rod or by two marks, and every
+other rod looks like a board turned farther. Each possible reading predicts further marks, which
+are in the image or not.
 """
 
 from __future__ import annotations
@@ -16,51 +15,52 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.detection._board_layout import CROOKED
+from binocular_recon.calibration.detection._board_layout import MAX_CROOKED
 from binocular_recon.calibration.detection._guided_search import Averaged, complete
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.target.board_plane import (
-    expected_in_picture,
+    inside_image,
     lateral_limit_m,
     plane_marks,
     predict_marks,
     slant,
 )
+from binocular_recon.calibration.target.mark_types import PERIOD
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
 IntArray = npt.NDArray[np.int64]
 
-# By how many marks (missing ones count half) an identity must beat every other one.
+# An identity must beat every other one by this many marks (missing ones count half).
 CLEAR_MARGIN = 2.0
-# The same where feet that another identity takes for marks count as explained.
+# The same, with feet that another identity takes for marks counted as explained.
 FEET_MARGIN = 1.0
-# Marks nearer to the frame than this may be missed, px.
-FRAME_MARGIN_PX = 4.0
+# Marks nearer to the image border than this may be missed, px.
+BORDER_MARGIN_PX = 4.0
 # Share of the marks found that another identity must have too.
-FEWEST_KEPT = 0.6
+MIN_KEPT = 0.6
 # Rods are put up square to their row, on ground that slopes by less than 17 degrees.
-MOST_SLANT = 0.3
-# What a slant of 1 speaks against an identity, in marks.
+MAX_SLANT = 0.3
+# What a slant of 1 costs an identity, in marks.
 SLANT_COST = 10.0
-# How near to a foot a border must be to be that foot, as a share of the lowest spacing.
+# An edge is a foot if it is this near to where the foot must be, as a share of the lowest spacing.
 AT_FOOT = 0.15
-# Index of no rod, whatever is added to it.
+# Index of no rod, even after adding any shift.
 NOWHERE = -1000
 
 
 class Reading(NamedTuple):
-    """One identity of the marks, followed to its consequences.
+    """One identity of the marks, with the further marks that it predicts.
 
-    ``score`` is the number of marks explained less half the number missing; ``borders_px``
-    (R, M, 2) all marks it finds, NaN = none; ``feet_px`` (R, 2) where it says rods end, to
-    ``reach_px``; ``ends_px`` (N, 2) where borders turned out to be ends of rods.
+    ``score``: number of marks explained less half the number missing; ``edges_px`` (R, M, 2): all
+    marks it finds, NaN = none; ``feet_px`` (R, 2): where rods must end, within ``reach_px``;
+    ``ends_px`` (N, 2): edges that turned out to be ends of rods.
     """
 
     marks_px: FloatArray
     score: float
-    borders_px: FloatArray
+    edges_px: FloatArray
     feet_px: FloatArray
     reach_px: float
     ends_px: FloatArray
@@ -69,41 +69,40 @@ class Reading(NamedTuple):
 def settle_identity(
     image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined
 ) -> FloatArray | None:
-    """Return the marks with the identity that the picture supports best; None if two do.
+    """Return the marks with the identity that the image supports best; None if that is a tie.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     averaged : Averaged
-        The same for marks to be looked for.
+        The same, averaged for the search of marks.
     board : RodBoard
-        Places of rods and marks.
+        Positions of rods and marks.
     refined : Refined
         Marks under one identity. Its ``marks_px`` is returned itself if that is the best.
     """
     size, marks_px = (image.shape[1], image.shape[0]), refined.marks_px
     if np.isfinite(marks_px).all():
-        return marks_px  # nothing else has a place for all of them
-    ways = [marks_px, *other_identities(board, marks_px, size)]
-    ways = [way for way in ways if slant(board, way, size) < MOST_SLANT]
-    if not ways:
+        return marks_px  # no other identity has a place for all of them
+    identities = [marks_px, *other_identities(board, marks_px, size)]
+    identities = [marks for marks in identities if slant(board, marks, size) < MAX_SLANT]
+    if not identities:
         return None
     most = int(np.isfinite(marks_px[..., 0]).sum())
-    # marks that an identity has no place for speak against it
     readings: list[Reading] = []
-    for way in ways:
-        # feet may still speak for each rod of an identity, but for no more
+    for marks in identities:
+        # feet can add one mark per rod, not more
         least = max((r.score for r in readings), default=-np.inf) - board.count - CLEAR_MARGIN
-        reading = _read(image, averaged, board, refined._replace(marks_px=way), most, least)
+        reading = _read(image, averaged, board, refined._replace(marks_px=marks), most, least)
         readings += [reading] if reading else []
-    # where a rod ends, an identity must have its foot
+    # where a rod ends, an identity should have its foot
     ends = np.concatenate([refined.ends_px, *(reading.ends_px for reading in readings)])
-    scores = np.array([reading.score + _feet_met(reading, ends) for reading in readings])
+    scores = np.array([reading.score + _count_feet(reading, ends) for reading in readings])
     best = int(np.argmax(scores))
-    # what others take for marks may be the feet of the rods, too, on light ground
-    borders = np.concatenate([ends, *(reading.borders_px.reshape(-1, 2) for reading in readings)])
-    with_feet = np.array([reading.score + _feet_met(reading, borders) for reading in readings])
+    # on light ground, what others take for marks may be the feet of the rods
+    edges = np.concatenate([ends, *(reading.edges_px.reshape(-1, 2) for reading in readings)])
+    with_feet = np.array([reading.score + _count_feet(reading, edges) for reading in readings])
     clear = all(
         (values[best] - np.delete(values, best) >= margin).all()
         for values, margin in ((scores, CLEAR_MARGIN), (with_feet, FEET_MARGIN))
@@ -114,7 +113,7 @@ def settle_identity(
 def other_identities(
     board: RodBoard, marks_px: FloatArray, size: tuple[int, int]
 ) -> Iterator[FloatArray]:
-    """Yield the same marks as other rods or at other heights, where the spacings allow it.
+    """Yield the same marks as other rods or at other heights, where the spacing allows it.
 
     Some marks may fall off: feet on light ground that were taken for marks.
     """
@@ -123,18 +122,20 @@ def other_identities(
         return
     seen = np.unique(rods)
     moves = [
-        np.stack([way[rods] - rods, np.full_like(rods, m)], -1)
-        for way in _rows(board, seen)
-        for m in (-2, 0, 2)
-        if m or (way[seen] != seen).any()
+        np.stack([numbers[rods] - rods, np.full_like(rods, m)], -1)
+        for numbers in _renumbered(board, seen)
+        for m in (-PERIOD, 0, PERIOD)
+        if m or (numbers[seen] != seen).any()
     ]
     if len(seen) == 2:
-        # nothing else tells how high the two are against each other
-        moves += [np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-2, 2)]
+        # no third rod fixes the relative height of the two
+        moves += [
+            np.stack([0 * rods, m * (rods == r)], -1) for r in seen for m in (-PERIOD, PERIOD)
+        ]
     for move in moves:
         r, m = rods + move[:, 0], marks + move[:, 1]
         exists = (r >= 0) & (r < board.count) & (m >= 0) & (m < board.marks_per_rod)
-        if exists.mean() < FEWEST_KEPT:
+        if exists.mean() < MIN_KEPT:
             continue
         moved = np.full_like(marks_px, np.nan)
         moved[r[exists], m[exists]] = marks_px[rods[exists], marks[exists]]
@@ -142,33 +143,33 @@ def other_identities(
             yield moved
 
 
-def _rows(board: RodBoard, seen: IntArray) -> Iterator[IntArray]:
-    """Yield which rods the rods seen may be: (R,) int64 each, `NOWHERE` for one without a place.
+def _renumbered(board: RodBoard, seen: IntArray) -> Iterator[IntArray]:
+    """Yield which rods the rods seen may be: (R,) int64 each, `NOWHERE` = none of the board's.
 
-    Marks keep their heights, so the board may be shifted and stretched along its row, but not
-    otherwise: of an even row every other rod looks like a row seen more from the side.
+    Marks keep their heights, so the board can only be shifted and stretched along its row: every
+    other rod of an even row looks like a row seen more from the side.
     """
     x, off = board.row_m.T
     if len(seen) < 2:
         yield np.arange(board.count)
         return
-    # seen from the side, rods off the row are elsewhere along it
+    # seen from the side, rods off the row appear elsewhere along it
     limit = lateral_limit_m(board) + float(np.ptp(off))
-    # one rod at either end may be none, or have no place
+    # the rod at either end may be something else, or have no place
     ends = {(seen[0], seen[-1]), (seen[0], seen[-2]), (seen[1], seen[-1])}
     known: set[bytes] = set()
     for first, last in sorted(pair for pair in ends if pair[0] < pair[1]):
         for one, other in combinations(range(board.count), 2):
             places = x[one] + (x - x[first]) * (x[other] - x[one]) / (x[last] - x[first])
             gaps = np.abs(places[:, None] - x)
-            way = np.where(gaps.min(1) < limit, gaps.argmin(1), NOWHERE)
-            if way[seen].tobytes() not in known:
-                known.add(way[seen].tobytes())
-                yield way
+            numbers = np.where(gaps.min(1) < limit, gaps.argmin(1), NOWHERE)
+            if numbers[seen].tobytes() not in known:
+                known.add(numbers[seen].tobytes())
+                yield numbers
 
 
 def _plausible(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
-    """Return whether the marks lie as evenly as the board's."""
+    """Return whether the marks fit the board's spacing."""
     found = np.isfinite(marks_px[..., 0])
     plane = plane_marks(board, marks_px, size)
     if plane is None:
@@ -184,7 +185,7 @@ def _plausible(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> 
         scale = np.median(np.linalg.norm(plane[:, -1] - plane[:, 0], axis=1))
         scale /= np.ptp(board.marks_m)
         off = marks_px[found] - plane[found]
-    return bool(np.abs(off).max() < 2 * CROOKED * scale * np.diff(board.marks_m).min() + 2)
+    return bool(np.abs(off).max() < 2 * MAX_CROOKED * scale * np.diff(board.marks_m).min() + 2)
 
 
 def _read(
@@ -195,31 +196,31 @@ def _read(
     most: int,
     least: float,
 ) -> Reading | None:
-    """Look for the marks that must be there if these are what they are said to be.
+    """Look for the further marks that an identity predicts.
 
-    ``most`` is their number before those fell off that this identity has no place for. None if
-    the score cannot reach ``least``.
+    ``most`` is the number of marks before some fell off that this identity has no place for. None
+    if the score cannot reach ``least``.
     """
     marks_px, size = refined.marks_px, (image.shape[1], image.shape[0])
     plane = plane_marks(board, marks_px, size)
     predicted = predict_marks(board, marks_px, plane)
-    expected = int(expected_in_picture(predicted, size, FRAME_MARGIN_PX).sum())
-    against = 0.5 * (most - int(np.isfinite(marks_px[..., 0]).sum()))
-    against += SLANT_COST * slant(board, marks_px, size)
+    expected = int(inside_image(predicted, size, BORDER_MARGIN_PX).sum())
+    penalty = 0.5 * (most - int(np.isfinite(marks_px[..., 0]).sum()))
+    penalty += SLANT_COST * slant(board, marks_px, size)
 
     def score(marks: FloatArray) -> float:
         found = int(np.isfinite(marks[..., 0]).sum())
-        return found - 0.5 * max(0, expected - found) - against
+        return found - 0.5 * max(0, expected - found) - penalty
 
     more = complete(averaged, board, marks_px, predicted)
     if score(more) < least:
         return None
-    borders, ends = marks_px.copy(), np.empty((0, 2))
+    edges, ends = marks_px.copy(), np.empty((0, 2))
     new = np.isfinite(more[..., 0]) & ~np.isfinite(marks_px[..., 0])
     if new.any():
         only_new = np.where(new[..., None], more, np.nan)
         added = refine(image, board, only_new, predicted, plane, refined.levels)
-        borders = np.where(np.isfinite(added.marks_px), added.marks_px, borders)
+        edges = np.where(np.isfinite(added.marks_px), added.marks_px, edges)
         ends = added.ends_px
     heights = board.marks_m
     step = (predicted[:, 1] - predicted[:, 0]) / (heights[1] - heights[0])
@@ -227,10 +228,10 @@ def _read(
     reach = AT_FOOT * float(
         np.nanmedian(np.linalg.norm(predicted[:, 1] - predicted[:, 0], axis=1))
     )
-    return Reading(marks_px, score(borders), borders, feet, reach, ends)
+    return Reading(marks_px, score(edges), edges, feet, reach, ends)
 
 
-def _feet_met(reading: Reading, borders_px: FloatArray) -> int:
-    """Return how many rods end where one of the borders (N, 2) is, says a reading."""
-    gaps = np.linalg.norm(borders_px - reading.feet_px[:, None], axis=2)
+def _count_feet(reading: Reading, edges_px: FloatArray) -> int:
+    """Return how many feet of a reading lie at one of the edges (N, 2)."""
+    gaps = np.linalg.norm(edges_px - reading.feet_px[:, None], axis=2)
     return int((np.nanmin(gaps, axis=1, initial=np.inf) < reading.reach_px).sum())

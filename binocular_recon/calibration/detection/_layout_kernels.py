@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that tell which track is which rod of the board."""
+"""Kernels that decide which track is which rod of the board."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1
-# Cost of a mark that should be in the picture but was not found, and of a border that should
+# Cost of a mark that should be in the image but was not found, and of an edge that should
 # not be there, against 1 for a mark explained.
 MISSING, UNEXPLAINED = 0.3, 0.5
-# Rods of a board are painted alike: standard deviation of the logarithm of a track's step. Their
-# filter's width is the rod's within this, in logarithms.
+# Rods of a board are painted alike: standard deviation of the logarithm of a track's step. And the
+# most by which the logarithms of a filter's and a rod's width differ.
 STEP_RANGE, WIDTH_RANGE = 0.4, 0.6
 # A rod is off sideways by less than this share of the distance to the next one.
 BESIDE = 0.35
-# Focal lengths that cameras have, as shares of the picture's width.
-NARROW_FOCAL, WIDE_FOCAL = 0.4, 5.0
-# How far a border may be from where two other rods put the mark, as a share of the spacing.
+# Focal lengths of real cameras, as shares of the image's width.
+MIN_FOCAL, MAX_FOCAL = 0.4, 5.0
+# An edge may be off where two other rods predict the mark by this share of the spacing.
 ALONG = 0.35
 
 
@@ -32,11 +33,11 @@ ALONG = 0.35
 def off_plane(
     ends: FloatArray, apart_m: float, size: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """Return the image (homogeneous x, y and weight) of a metre off the plane of two rods.
+    """Return the image of one metre off the plane of two rods: homogeneous x, y and weight.
 
-    ``ends`` as in `predict_rod`, of rods ``apart_m`` apart; ``size`` width and height of the
-    picture, px. The way from one rod to the other is as long as in space with the right focal
-    length, and the rods are square to it and to the optical axis.
+    ``ends`` as in `predict_rod`, of rods ``apart_m`` apart; ``size``: width and height of the
+    image, px. The focal length follows from the known distance of the two rods. They are taken to
+    be square to their row and to the optical axis.
     """
     cx, cy = 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)
     w0, w1 = 1 / ends[0, 4], 1 / ends[1, 4]
@@ -45,7 +46,7 @@ def off_plane(
     ax, ay = (w1 * x1 - w0 * x0) / apart_m, (w1 * y1 - w0 * y0) / apart_m
     change = (w1 - w0) / apart_m
     focal = math.sqrt(max(0.0, 1 - ax * ax - ay * ay)) / max(abs(change), 1e-9)
-    focal = min(max(focal, NARROW_FOCAL * size[0]), WIDE_FOCAL * size[0])
+    focal = min(max(focal, MIN_FOCAL * size[0]), MAX_FOCAL * size[0])
     az = focal * change
     ux = ends[0, 2] + ends[1, 2] - ends[0, 0] - ends[1, 0]
     uy = ends[0, 3] + ends[1, 3] - ends[0, 1] - ends[1, 1]
@@ -62,15 +63,15 @@ def predict_rod(
     off: tuple[float, float, float],
     predicted: FloatArray,
 ) -> bool:
-    """Write bottom and top x, y of a rod from those of two others; False if behind.
+    """Predict bottom and top x, y of a rod from two others; False if it is behind the camera.
 
-    ``ends`` (2, 5): bottom and top x, y, px per metre of two rods; ``place``: how far from the
-    first to the second rod the rod stands, as a share, and how far off their plane, m; ``off``
-    from `off_plane`. Points combine with weights that are depths, the inverse of the scale.
+    ``ends`` (2, 5): bottom and top x, y, px per metre of two rods; ``place``: position of the rod
+    from the first (0) to the second (1) and its distance off their plane, m; ``off`` from
+    `off_plane`. Points are weighted by their depths, the inverse of the scale.
     """
     w0, w1 = (1 - place[0]) / ends[0, 4], place[0] / ends[1, 4]
     total = w0 + w1 + place[1] * off[2]
-    # nearer than a fifth or farther than five times the known rods: no board is
+    # nearer than a fifth of the known rods' distance: no board is that deep
     if total <= 0.2 * min(1 / ends[0, 4], 1 / ends[1, 4]):
         return False
     for k in range(4):
@@ -81,7 +82,7 @@ def predict_rod(
 
 @kernel
 def _place(row: FloatArray, rods: tuple[int, int], r: int) -> tuple[float, float]:
-    """Return the place of rod r against two others as `predict_rod` takes it."""
+    """Return the position of rod r relative to two others as `predict_rod` takes it."""
     first, last = rods
     ax, az = row[last, 0] - row[first, 0], row[last, 1] - row[first, 1]
     dx, dz = row[r, 0] - row[first, 0], row[r, 1] - row[first, 1]
@@ -94,12 +95,13 @@ def _match_track(
     track: FloatArray,
     predicted: FloatArray,
     marks: FloatArray,
+    dark_below: Mask,
     lateral: float,
     indices: IntArray,
 ) -> tuple[int, int]:
-    """Give the borders of a track the marks of a predicted rod: numbers explained and not.
+    """Assign the edges of a track to the marks of a predicted rod; count those that fit or not.
 
-    ``track`` (n, 3): x, y, sign of each border, NaN = none. ``indices`` (n,) is written.
+    ``track`` (n, 3): x, y, sign of each edge, NaN = none. ``indices`` (n,) is written.
     """
     length = marks[-1] - marks[0]
     ax, ay = predicted[2] - predicted[0], predicted[3] - predicted[1]
@@ -115,7 +117,7 @@ def _match_track(
         height = marks[0] + (bx * ax + by * ay) / size * length
         best, best_gap = NONE, 1e9
         for m in range(marks.size):
-            if (track[j, 2] > 0) == (m % 2 == 0) and abs(height - marks[m]) < best_gap:
+            if (track[j, 2] > 0) == dark_below[m] and abs(height - marks[m]) < best_gap:
                 best, best_gap = m, abs(height - marks[m])
         if best == NONE:
             unexplained += 1
@@ -134,7 +136,7 @@ def _match_track(
 
 @kernel
 def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
-    """Return whether the track's first border is off the predicted rod's line sideways."""
+    """Return whether the track's first edge is off the predicted rod sideways."""
     j = 0
     while math.isnan(track[j, 0]):
         j += 1
@@ -145,7 +147,7 @@ def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
 
 @kernel
 def _taken(chosen: IntArray, track: int, count: int) -> bool:
-    """Return whether one of the first ``count`` rods has the track."""
+    """Return whether one of the first ``count`` rods already has the track."""
     return bool((chosen[:count] == track).any())
 
 
@@ -158,7 +160,7 @@ def _neighbour_gap(
     r: int,
     predicted: FloatArray,
 ) -> float:
-    """Return how far the feet of the next rods are from that of rod r in the picture, px."""
+    """Return the distance of the nearest neighbour's foot from that of rod r, px."""
     beside = np.empty(4)
     gap = 1e9
     for other in (r - 1, r + 1):
@@ -178,16 +180,17 @@ def score_layout(
     rods: tuple[int, int],
     row: FloatArray,
     marks: FloatArray,
+    dark_below: Mask,
     limits: FloatArray,
     chosen: IntArray,
     indices: IntArray,
 ) -> float:
-    """Return how well all tracks fit the board that two rods suggest.
+    """Return how well all tracks fit the board that two rods predict.
 
     Parameters
     ----------
     tracks : (T, n, 3) float64
-        x, y, sign of each border, NaN = none.
+        x, y, sign of each edge, NaN = none.
     looks : (T, 3) float64
         How much each track looks like a rod (0..1), logarithm of its step and of its width.
     ends : (2, 5) float64
@@ -195,16 +198,18 @@ def score_layout(
     rods : tuple of int
         Which rods of the board they are.
     row : (R, 2) float64
-        Places of the rods along and off their row, m.
+        Positions of the rods along and off their row, m.
     marks : (M,) float64
         Heights of the marks, m.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     limits : (6,) float64
-        Width and height of the picture less a margin, px; how far a rod may be off sideways, m
+        Width and height of the image less a margin, px; how far a rod may be off sideways, m
         and px; logarithm of the usual step and of the rods' diameter, m.
     chosen : (R,) int64
         Written: track of each rod, NONE = none.
     indices : (R, n) int64
-        Written: mark of each border of the chosen track, NONE = none.
+        Written: mark of each edge of the chosen track, NONE = none.
 
     """
     total = 0.0
@@ -230,7 +235,9 @@ def score_layout(
         for t in range(tracks.shape[0]):
             if _taken(chosen, t, r) or _far(tracks[t], predicted, 2 * lateral):
                 continue
-            explained, unexplained = _match_track(tracks[t], predicted, marks, lateral, trial)
+            explained, unexplained = _match_track(
+                tracks[t], predicted, marks, dark_below, lateral, trial
+            )
             width = limits[5] + math.log(length / (marks[-1] - marks[0]))
             if abs(looks[t, 2] - width) > WIDTH_RANGE:
                 continue

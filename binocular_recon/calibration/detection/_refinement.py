@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the marks of a board below a pixel and reject those that contradict the rest."""
+"""Measure the marks of a board to subpixel accuracy and reject those that contradict the rest."""
 
 from __future__ import annotations
 
@@ -8,39 +8,42 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.detection._band_check import rod_ends
-from binocular_recon.calibration.detection._border_fit import BorderFit, fit_border
+from binocular_recon.calibration.detection._band_check import reject_odd_looking, rod_ends
+from binocular_recon.calibration.detection._edge_fit import (
+    MAX_RESIDUAL,
+    EdgeFit,
+    curve_model,
+    fit_edge,
+)
 from binocular_recon.calibration.detection._rod_sides import RodFit, fit_rods
 from binocular_recon.calibration.target.board_plane import plane_marks
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
-# How far along the rod a border's fit looks: shares of the rod's width and of the spacing, px.
-REACH_WIDTHS, REACH_SPACING, LEAST_REACH_PX = 1.2, 0.45, 3.5
-# With something in front of the rod nearby it looks only this far, px.
+# Reach of an edge's fit along the rod: shares of the rod's width and of the spacing; at least, px.
+REACH_WIDTHS, REACH_SPACING, MIN_REACH_PX = 1.2, 0.45, 3.5
+# Reach where something in front of the rod is near, px.
 SHORT_REACH_PX = 2.5
-# Largest root mean square residual of a border, as a share of its step.
-LARGEST_RESIDUAL = 0.12
-# A border's step against the typical one of the board; levels of a band, as a share of the step.
-LEAST_STEP, LARGEST_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
-# Marks of one rod fit their exact spacing to this, px, and to this share of the rod's length
+# Marks of one rod fit their exact spacing within this, px, and this share of the rod's length
 # (distortion); the usual error of a mark, px.
-STRAY_PX, STRAY_LENGTH, MARK_SIGMA_PX = 0.4, 0.001, 0.15
-# What a perfect fit of a border is off by: shading, pixels, blur that is no Gaussian, px.
+OUTLIER_PX, OUTLIER_SHARE, MARK_SIGMA_PX = 0.4, 0.001, 0.15
+# Error of a perfect fit of an edge: shading, pixels, blur that is not Gaussian, px.
 MODEL_SIGMA_PX = 0.022
 
 
 class Refined(NamedTuple):
-    """Marks below a pixel: positions (R, M, 2) and standard deviations (R, M), NaN = rejected.
+    """Measured marks: positions (R, M, 2) and standard deviations (R, M), NaN = rejected.
 
-    ``ends_px`` (N, 2): ends of rods that looked like marks. ``levels`` (2,): dark, light bands.
+    ``ends_px`` (N, 2): ends of rods that looked like marks. ``levels`` (2,): of dark and light
+    bands. ``goes_on`` (R, M, 2): whether the rod visibly goes on below and above each mark.
     """
 
     marks_px: FloatArray
     sigma_px: FloatArray
     ends_px: FloatArray
     levels: FloatArray | None
+    goes_on: Mask
 
 
 def refine(
@@ -62,47 +65,51 @@ def refine(
     marks_px, predicted_px : (R, M, 2) float64
         Rough positions of the marks found, and where every mark should be; NaN = none.
     plane_px : (R, M, 2) float64 or None
-        Where the plane of the whole board puts the marks; None = not known.
+        Where the plane of the whole board predicts the marks; None = not known.
     levels : (2,) float64 or None
-        Levels of dark and light bands; None = find out.
+        Levels of dark and light bands; None = measure them.
 
     """
-    # rough marks tell the scale of a rod but not how it changes along it
+    # rough marks give the scale of a rod, but not how it changes along the rod
     scale = [np.mean(_px_per_m(board, rod)) for rod in predicted_px]
     widths = board.rod_diameter_m * np.repeat(np.array(scale)[:, None], board.marks_per_rod, 1)
-    rods = _fit_sides(image, marks_px, predicted_px, widths)
-    first = _fit_borders(image, board, rods, marks_px, None, None)
+    rods = _fit_sides(image, board, marks_px, predicted_px, widths)
+    first = _fit_edges(image, board, rods, marks_px, None, None)
     fits = [fit for row in first for fit in row if fit is not None]
     if not fits:
         empty = np.full(marks_px.shape, np.nan)
-        return Refined(empty, empty[..., 0], empty[:0, 0], levels)
+        return Refined(empty, empty[..., 0], empty[:0, 0], levels, np.isfinite(empty))
     blur = float(np.median([fit.blur_px for fit in fits]))
-    curve = _curve_model(fits)
+    curve = curve_model(fits)
     again = np.stack([_positions(row) for row in first])
     exact = plane_marks(board, again, (image.shape[1], image.shape[0]))
     if exact is not None:
         widths = board.rod_diameter_m * np.stack([_px_per_m(board, rod) for rod in exact])
-    rods = _fit_sides(image, again, predicted_px, widths)
-    second = _fit_borders(image, board, rods, again, blur, curve)
-    _reject_odd_looking(second)
+    rods = _fit_sides(image, board, again, predicted_px, widths)
+    second = _fit_edges(image, board, rods, again, blur, curve)
+    reject_odd_looking(second, board.dark_below)
     marks = np.stack([_positions(row) for row in second])
-    ends, levels = rod_ends(image, rods, second, levels)
+    ends, levels, goes_on = rod_ends(image, rods, second, board.light_bands, levels)
     ends_px, marks[ends] = marks[ends], np.nan
     sigma = np.array([[np.nan if f is None else f.sigma_px for f in row] for row in second])
     sigma = np.hypot(sigma, MODEL_SIGMA_PX)
-    sigma[ends | _strays(board, marks, plane_px)] = np.nan
+    sigma[ends | _outliers(board, marks, plane_px)] = np.nan
     marks[~np.isfinite(sigma)] = np.nan
-    return Refined(marks, sigma, ends_px, levels)
+    return Refined(marks, sigma, ends_px, levels, goes_on)
 
 
-def _positions(row: list[BorderFit | None]) -> FloatArray:
+def _positions(row: list[EdgeFit | None]) -> FloatArray:
     return np.array([(np.nan, np.nan) if fit is None else fit.point_px for fit in row])
 
 
 def _fit_sides(
-    image: FloatImage, marks_px: FloatArray, predicted_px: FloatArray, width_px: FloatArray
+    image: FloatImage,
+    board: RodBoard,
+    marks_px: FloatArray,
+    predicted_px: FloatArray,
+    width_px: FloatArray,
 ) -> list[RodFit | None]:
-    """Fit every rod between its marks; a single mark borrows its neighbours' predicted places."""
+    """Fit every rod between its marks; a single mark is helped by its predicted neighbours."""
     lines: list[FloatArray | None] = []
     found = np.isfinite(marks_px[..., 0])
     everywhere = np.where(found[..., None], marks_px, predicted_px)
@@ -115,19 +122,19 @@ def _fit_sides(
         known = seen.any() and np.isfinite(everywhere[rod]).all()
         known = known and np.isfinite(width_px[rod]).all()
         lines.append(visible if known else None)
-    return fit_rods(image, lines, everywhere[..., 1], width_px)
+    return fit_rods(image, lines, everywhere[..., 1], width_px, board.light_bands)
 
 
-def _fit_borders(
+def _fit_edges(
     image: FloatImage,
     board: RodBoard,
     rods: list[RodFit | None],
     marks_px: FloatArray,
     blur_px: float | None,
     curve: FloatArray | None,
-) -> list[list[BorderFit | None]]:
-    """Fit every border, looking less far along the rod where the far look does not fit."""
-    table: list[list[BorderFit | None]] = []
+) -> list[list[EdgeFit | None]]:
+    """Fit every edge, with a shorter reach along the rod where the full one does not fit."""
+    table: list[list[EdgeFit | None]] = []
     for rod, marks in zip(rods, marks_px, strict=True):
         table.append([None] * len(marks))
         found = np.nonzero(np.isfinite(marks[:, 0]))[0].tolist()
@@ -138,23 +145,23 @@ def _fit_borders(
             bend = None if curve is None else float(curve @ [1.0, *marks[m]])
             middle, _, half = rod.place(marks[m, 1])
             if not half <= middle[0] <= image.shape[1] - 1 - half:
-                continue  # the frame cuts the rod lengthwise: one side does not tell the middle
+                continue  # cut lengthwise by the image border: one side does not give the middle
             width = 2 * half
-            table[-1][m] = _best_border(
+            table[-1][m] = _best_edge(
                 image, rod, marks[m, 1], _reach(board, m, scale, width), blur_px, bend
             )
     return table
 
 
-def _best_border(
+def _best_edge(
     image: FloatImage,
     rod: RodFit,
     y: float,
     reach: FloatArray,
     blur_px: float | None,
     curve: float | None,
-) -> BorderFit | None:
-    """Fit a border with its full reach, or with less below, above or on both sides."""
+) -> EdgeFit | None:
+    """Fit an edge with its full reach, or with less below, above or on both sides."""
     best = None
     short = np.minimum(reach, SHORT_REACH_PX)
     for below, above in (
@@ -163,17 +170,17 @@ def _best_border(
         (reach[0], short[1]),
         (short[0], short[1]),
     ):
-        fit = fit_border(image, rod, y, (below, above), blur_px, curve)
+        fit = fit_edge(image, rod, y, (below, above), blur_px, curve)
         if fit is None:
             continue
-        if fit.residual < LARGEST_RESIDUAL * abs(fit.above - fit.below):
+        if fit.residual < MAX_RESIDUAL * abs(fit.above - fit.below):
             return fit
         best = best or fit
     return best
 
 
 def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
-    """Return the scale of the picture along a rod at its marks, from their places (M, 2)."""
+    """Return the scale along a rod at its marks, px per m, from their positions (M, 2)."""
     if not np.isfinite(rod).all():
         return np.full(len(rod), np.nan)
     chord = rod[-1] - rod[0]
@@ -186,69 +193,23 @@ def _px_per_m(board: RodBoard, rod: FloatArray) -> FloatArray:
 
 
 def _reach(board: RodBoard, mark: int, px_per_m: float, width_px: float) -> FloatArray:
-    """Return how far to look below and above a mark, px."""
+    """Return the reach of the fit below and above a mark, px."""
     gaps = np.diff(board.marks_m, prepend=0.0, append=2 * board.marks_m[-1] - board.marks_m[-2])
-    wanted = max(LEAST_REACH_PX, REACH_WIDTHS * width_px)
+    wanted = max(MIN_REACH_PX, REACH_WIDTHS * width_px)
     limits: FloatArray = np.minimum(wanted, REACH_SPACING * px_per_m * gaps[mark : mark + 2])
     return limits
 
 
-def _curve_model(fits: list[BorderFit]) -> FloatArray:
-    """Return the borders' curve as a linear function (1, x, y) of the place in the picture.
-
-    The curve is the sine of the angle at which the camera looks down on the rod: for parallel rods
-    nearly linear over the picture.
-    """
-    points = np.array([fit.point_px for fit in fits])
-    curves = np.array([fit.curve for fit in fits])
-    weights = np.array([fit.curve_weight for fit in fits])
-    middle, size = points.mean(0), np.maximum(np.ptp(points, axis=0).max(), 1.0)
-    design = np.column_stack([np.ones(len(fits)), (points - middle) / size])
-    model = np.zeros(3)
-    for _ in range(5):
-        off = curves - design @ model
-        w = weights / (1 + weights * off**2 / 9)
-        # a picture holds 60 degrees or so; the prior keeps few or narrow rods from running away
-        normal = design.T @ (w[:, None] * design) + np.diag([1 / 0.5**2, 1 / 0.1**2, 1 / 0.5**2])
-        model = np.linalg.solve(normal, design.T @ (w * curves))
-    slope = model[1:] / size
-    return np.array([model[0] - slope @ middle, *slope])
-
-
-def _reject_odd_looking(table: list[list[BorderFit | None]]) -> None:
-    """Drop borders whose step, levels or residuals are not like the board's other ones."""
-    levels = [_dark_and_light(m, fit) for row in table for m, fit in enumerate(row) if fit]
-    if not levels:
-        return
-    dark, light = np.median(levels, axis=0)
-    typical = light - dark
-    for row in table:
-        for m, fit in enumerate(row):
-            if fit is None:
-                continue
-            own_dark, own_light = _dark_and_light(m, fit)
-            step = own_light - own_dark
-            off = max(abs(own_dark - dark), abs(own_light - light))
-            if (
-                not LEAST_STEP * typical < step < LARGEST_STEP * typical
-                or off > LEVEL_RANGE * typical
-                or fit.residual > LARGEST_RESIDUAL * step
-            ):
-                row[m] = None
-
-
-def _dark_and_light(mark: int, fit: BorderFit) -> tuple[float, float]:
-    """Return the levels of the bands that should be dark and light at a border."""
-    return (fit.below, fit.above) if mark % 2 == 0 else (fit.above, fit.below)
-
-
-def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt.NDArray[np.bool_]:
+def _outliers(
+    board: RodBoard, marks: FloatArray, plane: FloatArray | None
+) -> npt.NDArray[np.bool_]:
     """Return which marks contradict their rod's exact spacing and the board: (R, M) bool.
 
-    ``plane`` (R, M, 2) is where the board's plane puts the marks; None = not known. A rod may be
-    too high or low and nearer or farther, the lens bends a little; what is left is the mark's.
+    ``plane`` (R, M, 2) is where the board's plane predicts the marks; None = not known. A rod may
+    stand too high or low, nearer or farther, and the lens bends it a little; the rest of the
+    deviation is the mark's own.
     """
-    stray = np.zeros(marks.shape[:2], np.bool_)
+    outlier = np.zeros(marks.shape[:2], np.bool_)
     for r, rod in enumerate(marks):
         reference = rod if plane is None else plane[r]
         ends = np.nonzero(np.isfinite(reference[:, 0]))[0]
@@ -268,25 +229,25 @@ def _strays(board: RodBoard, marks: FloatArray, plane: FloatArray | None) -> npt
                 [1 + 3 * board.height_sigma_m * scale, 0.012 * length, 0.004 * length]
             )
         off = along - expected
-        limit = STRAY_PX + STRAY_LENGTH * length
+        limit = OUTLIER_PX + OUTLIER_SHARE * length
         while True:
             deviation = _deviation(board.marks_m, off, sigma)
             if not np.nanmax(deviation, initial=0.0) > limit:
                 break
             worst = np.argsort(-np.nan_to_num(deviation))[:2]
-            # two that blame each other: both go
+            # two that contradict each other: both go
             tie = deviation[worst[1]] > 0.7 * deviation[worst[0]] and np.isfinite(off).sum() <= 3
             drop = worst if tie else worst[:1]
-            stray[r, drop] = True
+            outlier[r, drop] = True
             off[drop] = np.nan
-    return stray
+    return outlier
 
 
 def _deviation(heights: FloatArray, off: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Fit the deviations of a rod's marks by a parabola with priors; return the residuals.
+    """Fit a parabola with priors to the deviations of a rod's marks; return the residuals.
 
-    Each residual is divided by the square root of its redundancy, which makes the one whose
-    removal helps most the largest. (M,), NaN = not found.
+    Each residual is divided by the square root of its redundancy: the largest is then the one
+    whose removal reduces the squared error most. (M,), NaN = not found.
     """
     found = np.isfinite(off)
     h = (heights[found] - heights.mean()) / np.ptp(heights) * 2

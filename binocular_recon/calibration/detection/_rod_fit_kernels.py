@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that fit a rod's two sides and its borders to grey levels, below a pixel."""
+"""Kernels that fit a rod's two sides and its edges to grey levels, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Parameters of a rod in the picture, with z = (y - y_middle) / y_scale: the middle is at
-# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. A matt rod in the light of sky and
-# sun is as bright as 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half
-# width.
+# Parameters of a rod in the image, with z = (y - y_middle) / y_scale: the middle is at
+# x = C0 + C1 z + C2 z^2, its half width along a row R0 + R1 z. The brightness of a matt rod lit by
+# sky and sun is 1 + max(0, S1 v + S2 sqrt(1 - v^2)), v = distance from the middle / half width.
 # SIGMA is the blur, px.
 C0, C1, C2, R0, R1, S1, S2, SIGMA = range(8)
 ROD_PARAMETERS = 8
-# The corner between shade and light is rounded: a step of a fit must not jump over it.
+# The corner between shade and light is rounded, so that a step of the fit cannot jump over it.
 ROUND = 0.1
-# Strips of one brightness into which a rod's width is cut, equal in angle around the rod: so many
-# at least, and so many to a pixel of its half width.
-FEWEST_STRIPS, STRIPS_PER_PX = 8, 1.5
+# A rod's width is cut into strips of one brightness, equal in angle around the rod: the least
+# number, and the number per pixel of its half width.
+MIN_STRIPS, STRIPS_PER_PX = 8, 1.5
 # Background on either side of a rod that a row's fit uses, px.
 BESIDE_PX = 3.0
 
@@ -46,9 +45,9 @@ def shading(v: float, s1: float, s2: float) -> float:
 
 @kernel
 def _cut_strips(rod: FloatArray, strips: FloatArray) -> None:
-    """Write border, brightness and its derivatives by S1, S2 of each strip: (n + 1, 4).
+    """Write start, brightness and its derivatives by S1, S2 of each strip: (n + 1, 4).
 
-    The last row holds the last border only.
+    The last row holds the end of the last strip only.
     """
     count = strips.shape[0] - 1
     for k in range(count + 1):
@@ -87,7 +86,7 @@ def _row_model(
             share, density = 1.0, 0.0
             if a < 4.5:
                 share, density = _phi(a), _density(a) / sigma
-            # from strip k on the brightness is another
+            # the change of brightness from strip k - 1 to strip k
             change = strips[k, 1] - (strips[k - 1, 1] if k > 0 else 0.0)
             rod += change * share
             by_x -= change * density
@@ -131,7 +130,7 @@ def accumulate_rows(
     normal: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Fit background and level of each row; add up the normal equations of the rod's parameters.
+    """Fit background and level of each row; sum the normal equations of the rod's parameters.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def accumulate_rows(
 
     """
     p = ROD_PARAMETERS
-    strips = np.empty((max(FEWEST_STRIPS, int(STRIPS_PER_PX * rod[R0])) + 1, 4))
+    strips = np.empty((max(MIN_STRIPS, int(STRIPS_PER_PX * rod[R0])) + 1, 4))
     _cut_strips(rod, strips)
     for r in range(rows.shape[0]):
         y, z, weight = int(rows[r, 0]), rows[r, 1], rows[r, 2]
@@ -156,7 +155,7 @@ def accumulate_rows(
         half = rod[R0] + z * rod[R1]
         x0 = max(0, math.ceil(middle - half - BESIDE_PX))
         x1 = min(image.shape[1] - 1, math.floor(middle + half + BESIDE_PX))
-        # both sides of the rod must be in the picture
+        # both sides of the rod must be in the image
         if x0 > middle - half - 1 or x1 < middle + half + 1 or half < 0.5:
             continue
         n = x1 - x0 + 1
@@ -178,7 +177,7 @@ def accumulate_rows(
             residual[i] = image[y, x0 + i] - value
             square += residual[i] ** 2
             by_x = left * slopes[i, 0] + level * slopes[i, 1] + right * slopes[i, 2]
-            # a wider rod moves its left edge left and its right edge right
+            # a wider rod moves its left side left and its right side right
             by_r = -left * slopes[i, 0] + level * slopes[i, 6] + right * slopes[i, 2]
             jacobian[i, C0], jacobian[i, C1], jacobian[i, C2] = by_x, by_x * z, by_x * z * z
             jacobian[i, R0], jacobian[i, R1] = by_r, by_r * z
@@ -188,7 +187,7 @@ def accumulate_rows(
         rows[r, 5], rows[r, 6] = left, right
         if weight <= 0:
             continue
-        # what the row's own three levels can explain does not count (variable projection)
+        # variable projection: remove what the row's own three levels explain
         cross = np.zeros((3, p))
         for i in range(n):
             for j in range(3):
@@ -210,46 +209,46 @@ def accumulate_rows(
             gradient[j] += weight * total
 
 
-# Parameters of a border: its place along the rod, levels below and above, curve, blur, levels of
-# the background that shines in from the left and the right.
+# Parameters of an edge: its position along the rod, levels below and above, curve, blur, levels of
+# the background that blurs in from the left and the right.
 T0, BELOW, ABOVE, CURVE, BLUR, LEFT, RIGHT = range(7)
-BORDER_PARAMETERS = 7
+EDGE_PARAMETERS = 7
 
 
 @kernel
-def accumulate_border(
+def accumulate_edge(
     image: FloatImage,
-    frame: FloatArray,
+    window: FloatArray,
     shade: FloatArray,
-    border: FloatArray,
+    edge: FloatArray,
     normal: FloatArray,
     gradient: FloatArray,
 ) -> tuple[float, int]:
-    """Add up the normal equations of one border; return the squared residuals and their number.
+    """Sum the normal equations of one edge; return the squared residuals and their number.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
-    frame : (8,) float64
-        x, y of the border as guessed, unit direction up the rod (x, y), half width across the
-        rod, share of it used, how far to look below and above, px.
+    window : (8,) float64
+        First guess of x, y of the edge; unit direction up the rod (x, y); half width across the
+        rod; share of it used; reach below and above, px.
     shade : (2,) float64
         S1, S2 of the rod.
-    border : (7,) float64
-        Place along the direction from the guess, px; grey levels below and above; the ring's
-        sag towards the rod's sides as a share of the half width; blur, px; grey levels to the
-        left and to the right.
+    edge : (7,) float64
+        Position along the direction from the guess, px; grey levels below and above; sag of the
+        ring towards the rod's sides, as a share of the half width; blur, px; grey levels on the
+        left and on the right.
     normal, gradient : (7, 7), (7,) float64
         Added to.
 
     """
-    xm, ym, dx, dy = frame[0], frame[1], frame[2], frame[3]
-    half, share, below, above = frame[4], frame[5], frame[6], frame[7]
+    xm, ym, dx, dy = window[0], window[1], window[2], window[3]
+    half, share, below, above = window[4], window[5], window[6], window[7]
     width = max(share * half, 0.5)
     reach = max(below, above) + width
     square, count = 0.0, 0
-    jacobian = np.empty(BORDER_PARAMETERS)
+    jacobian = np.empty(EDGE_PARAMETERS)
     for y in range(max(0, int(ym - reach)), min(image.shape[0], int(ym + reach) + 2)):
         for x in range(max(0, int(xm - reach)), min(image.shape[1], int(xm + reach) + 2)):
             t = (x - xm) * dx + (y - ym) * dy
@@ -258,23 +257,23 @@ def accumulate_border(
                 continue
             v = u / half
             sag = half * (math.sqrt(max(0.0, 1 - v * v)) - 1)
-            a = (t - border[T0] - border[CURVE] * sag) / border[BLUR]
+            a = (t - edge[T0] - edge[CURVE] * sag) / edge[BLUR]
             share_above = _phi(a)
-            left = 1 - _phi((u + half) / border[BLUR])
-            right = _phi((u - half) / border[BLUR])
+            left = 1 - _phi((u + half) / edge[BLUR])
+            right = _phi((u - half) / edge[BLUR])
             light = (1 - left - right) * shading(v, shade[0], shade[1])
-            step = border[ABOVE] - border[BELOW]
-            value = light * (border[BELOW] + step * share_above)
-            value += left * border[LEFT] + right * border[RIGHT]
-            slope = -light * step * _density(a) / border[BLUR]
+            step = edge[ABOVE] - edge[BELOW]
+            value = light * (edge[BELOW] + step * share_above)
+            value += left * edge[LEFT] + right * edge[RIGHT]
+            slope = -light * step * _density(a) / edge[BLUR]
             jacobian[T0], jacobian[CURVE], jacobian[BLUR] = slope, slope * sag, slope * a
             jacobian[BELOW], jacobian[ABOVE] = light * (1 - share_above), light * share_above
             jacobian[LEFT], jacobian[RIGHT] = left, right
             residual = image[y, x] - value
             square += residual * residual
             count += 1
-            for j in range(BORDER_PARAMETERS):
+            for j in range(EDGE_PARAMETERS):
                 gradient[j] += jacobian[j] * residual
-                for k in range(BORDER_PARAMETERS):
+                for k in range(EDGE_PARAMETERS):
                     normal[j, k] += jacobian[j] * jacobian[k]
     return square, count

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look for rods: short borders of bands, strung along straight lines with the marks' spacing."""
+"""Search for rods: short edges of bands, chained along straight lines with the marks' spacing."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
-from binocular_recon.calibration.detection._border_kernels import (
+from binocular_recon.calibration.detection._edge_kernels import (
     NONE,
     STEP,
-    border_response,
+    chain_edges,
+    edge_response,
     mark_peaks,
-    string_rods,
 )
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
-# Widths of rods that the filters are made for, px of a pyramid level; each level halves the image,
-# so together they cover 2.7 to 50 px.
+# Widths of rods that the filters are made for, px of a pyramid level. Each level halves the image:
+# together they cover 2.7 to 50 px.
 FILTER_WIDTHS_PX = (3.5, 5.5)
 LEVELS = 4
-# Borders kept at each width, the strongest; a forest or a gravel heap offers 50 000.
-MOST_BORDERS = 20_000
-# Tracks looked at: no picture holds more that can be told from clutter.
-MOST_TRACKS = 100
+# The strongest edges kept at each width; a forest or a heap of gravel has 50 000.
+MAX_EDGES = 20_000
+# Number of tracks kept; an image with more is all clutter.
+MAX_TRACKS = 100
 
 
 class Track(NamedTuple):
-    """A straight row of borders that may be a rod.
+    """A straight row of edges that may be a rod.
 
-    ``points_px`` (M, 2), NaN where the row has a gap; the marks' indices are a guess where their
-    spacing repeats. ``steps`` (M,): light less dark, grey levels. ``width_px`` is that of the
+    ``points_px`` (M, 2), NaN where the row has a gap; where the spacing repeats, the indices of
+    the marks are a guess. ``steps`` (M,): light less dark, grey levels. ``width_px``: of the
     filter that found it.
     """
 
@@ -52,8 +52,8 @@ class Track(NamedTuple):
         return present
 
 
-class Borders(NamedTuple):
-    """Borders of one filter width, sorted by cells of a grid."""
+class Edges(NamedTuple):
+    """Edges of one filter width, sorted by cells of a grid."""
 
     table: FloatArray
     first: npt.NDArray[np.int64]
@@ -68,7 +68,7 @@ def find_tracks(
     leans: tuple[float, ...] = (0.0,),
     known: Sequence[Track] = (),
 ) -> list[Track]:
-    """Return rows of borders that may be rods, the best first, each place once.
+    """Return rows of edges that may be rods, the best first, one for each position.
 
     Parameters
     ----------
@@ -77,10 +77,10 @@ def find_tracks(
     board : RodBoard
         Heights of the marks and the rods' diameter.
     threshold : float
-        Least step of a border, grey levels.
+        Least step of an edge, grey levels.
     leans : tuple of float
-        Slopes dx / dy of the rods to look for; each finds rods up to 12 degrees off it well, and
-        up to 20 on a quiet background.
+        Slopes dx / dy of the rods to search; each finds rods up to 12 degrees off it, and up to
+        20 degrees on a plain background.
     known : sequence of Track
         Rows found before, at other leans.
 
@@ -95,7 +95,7 @@ def find_tracks(
 def _leaning_tracks(
     grey: FloatImage, board: RodBoard, threshold: float, lean: float
 ) -> list[Track]:
-    """Return the tracks of rods with slope dx / dy near ``lean``: upright once sheared."""
+    """Return the tracks of rods with slope dx / dy near ``lean``, upright in a sheared image."""
     if not lean:
         return _upright_tracks(grey, board, threshold)
     height, width = grey.shape
@@ -119,28 +119,28 @@ def _upright_tracks(grey: FloatImage, board: RodBoard, threshold: float) -> list
         if min(level.shape) < 32:
             break
         for width in FILTER_WIDTHS_PX:
-            borders = _find_borders(level, width, threshold)
-            tracks += _string(borders, board, width, scale)
+            edges = _find_edges(level, width, threshold)
+            tracks += _chain(edges, board, width, scale)
         level, scale = cv2.pyrDown(level), 2 * scale
     return tracks
 
 
-def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:
-    """Filter one pyramid level for borders on rods about ``width`` wide."""
-    # half sizes of the boxes on the rod and beside it, and their distances from the border
+def _find_edges(level: FloatImage, width: float, threshold: float) -> Edges:
+    """Filter one pyramid level for edges on rods about ``width`` wide."""
+    # half sizes of the boxes on the rod and beside it, and their distances from the edge
     mid, side, tall = round(0.25 * width), round(0.2 * width), max(1, round(0.35 * width))
     reach, rise = round(0.5 * width) + 1 + side, 1 + tall
     middle = cv2.blur(level, (2 * mid + 1, 2 * tall + 1))
     beside = cv2.blur(level, (2 * side + 1, 2 * tall + 1))
     response = np.zeros_like(level)
     peak = np.zeros(level.shape, np.bool_)
-    over_strips(border_response, len(level), middle, beside, rise, reach, response, strip=64)
+    over_strips(edge_response, len(level), middle, beside, rise, reach, response, strip=64)
     radius = max(1, round(width / 3))
     over_strips(mark_peaks, len(level), response, threshold, radius, peak, strip=64)
     y, x = np.nonzero(peak)
     size = np.abs(response[y, x])
-    if len(y) > MOST_BORDERS:
-        strongest = np.argpartition(-size, MOST_BORDERS)[:MOST_BORDERS]
+    if len(y) > MAX_EDGES:
+        strongest = np.argpartition(-size, MAX_EDGES)[:MAX_EDGES]
         y, x = y[strongest], x[strongest]
     above, below = middle[y - rise, x], middle[y + rise, x]
     levels = np.maximum(above, below), np.minimum(above, below)
@@ -150,21 +150,22 @@ def _find_borders(level: FloatImage, width: float, threshold: float) -> Borders:
     key = (y / cell).astype(np.int64) * (columns + 1) + (x / cell).astype(np.int64)
     order = np.argsort(key, kind='stable')
     first = np.searchsorted(key[order], np.arange(rows * (columns + 1)))
-    return Borders(table[order], first.reshape(rows, columns + 1), cell, middle)
+    return Edges(table[order], first.reshape(rows, columns + 1), cell, middle)
 
 
-def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> list[Track]:
-    """Return the tracks of one filter width in pixels of the whole picture."""
-    table = borders.table
+def _chain(edges: Edges, board: RodBoard, width: float, scale: float) -> list[Track]:
+    """Return the tracks of one filter width in pixels of the whole image."""
+    table = edges.table
     chains = np.full((len(table), board.marks_per_rod), NONE)
     counts = np.zeros(len(table), np.int64)
-    string_rods(
+    chain_edges(
         table,
-        borders.first,
-        borders.cell_px,
+        edges.first,
+        edges.cell_px,
         board.marks_m,
+        board.dark_below,
         (width, width / board.rod_diameter_m),
-        borders.middle,
+        edges.middle,
         chains,
         counts,
     )
@@ -175,7 +176,7 @@ def _string(borders: Borders, board: RodBoard, width: float, scale: float) -> li
     points = np.where(present[..., None], table[chosen, :2] * scale + (scale - 1) / 2, np.nan)
     steps = np.where(present, np.abs(table[chosen, STEP]), np.nan)
     scores = _scores(points, steps, present, board, width * scale)
-    best = np.argsort(-scores, kind='stable')[: 3 * MOST_TRACKS]
+    best = np.argsort(-scores, kind='stable')[: 3 * MAX_TRACKS]
     return [Track(points[i], steps[i], width * scale, float(scores[i])) for i in best]
 
 
@@ -186,7 +187,7 @@ def _scores(
     board: RodBoard,
     width: float,
 ) -> FloatArray:
-    """Return the number of marks of each track, less for uneven steps and crooked lines."""
+    """Return the number of marks of each track, reduced for uneven steps and crooked lines."""
     weight = present.astype(np.float64)
     count = weight.sum(1)
     heights = np.where(present, board.marks_m, 0.0)
@@ -204,10 +205,10 @@ def _scores(
 
 
 def _each_place_once(tracks: list[Track]) -> list[Track]:
-    """Drop tracks that lie on a better one's line."""
+    """Drop tracks that lie on the line of a better one."""
     kept: list[Track] = []
     # x at the top, slope, top, bottom and width of the lines kept
-    lines = np.empty((MOST_TRACKS, 5))
+    lines = np.empty((MAX_TRACKS, 5))
     for track in tracks:
         points = track.points_px[track.found]
         (x0, y0), (x1, y1) = points[-1], points[0]  # marks run from the foot up
@@ -221,6 +222,6 @@ def _each_place_once(tracks: list[Track]) -> list[Track]:
             continue
         lines[len(kept)] = x0, slope, y0, y1, track.width_px
         kept.append(track)
-        if len(kept) == MOST_TRACKS:
+        if len(kept) == MAX_TRACKS:
             break
     return kept

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the two sides of a board's rods to grey levels, below a pixel."""
+"""Fit the two sides of a board's rods to grey levels, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.detection._rod_fit_kernels import (
     C0,
@@ -24,39 +23,39 @@ from binocular_recon.calibration.detection._rod_fit_kernels import (
 )
 from binocular_recon.calibration.detection._search_kernels import centre_rod
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 # Blur assumed before it is measured: a good lens and the pixel itself, px.
 USUAL_BLUR_PX = 0.8
-# Steps of the fit; the first ones move the lines only, then some keep the width expected.
+# Steps of the fit; the first ones move the lines only, the next ones keep the expected width.
 ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 # Most that a step may change C0 and C1, as a share of the width.
 LINE_STEP = 0.33
-# What the rods of a picture have in common: their width against rod_diameter, S1, S2, blur (px)
-# and how the lens bends them, amid the rods and its change over BEND_REACH_PX, in BEND_UNIT
-# (1 / px): what is expected, its standard deviation, and the most that one step may change.
+# What the rods of an image have in common: width against rod_diameter, S1, S2, blur (px) and how
+# the lens bends them, at their middle and its change over BEND_REACH_PX, in BEND_UNIT (1 / px):
+# expected value, its standard deviation, and the largest change in one step.
 COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
 COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0])
 COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
 OWN = 2
-# Rows of a rod that are fitted at most; neighbours tell much the same.
-MOST_ROWS = 160
-# Rows this near to a border are left out of the fit of the sides, px (and the rod's lean).
+# Largest number of rows of a rod that are fitted; neighbouring rows add little.
+MAX_ROWS = 160
+# Rows this near to an edge are left out of the fit of the sides, px (and the rod's lean).
 GUARD_PX = 2.5
 # Rows used beyond the outermost marks, as a share of a spacing.
 BEYOND = 0.3
 # Mean contrast of a rod's side, over dark and light bands, against the step between these.
-LEAST_CONTRAST = 0.25
-# The rough lines of rods with a larger half width, px, are centred first on so many rows; a
-# contrast counts no more than this, grey levels.
-WIDE_PX, CENTRE_ROWS, MOST_CONTRAST = 4.0, 40, 60.0
-# Grey levels that a row may be off before it counts less, at least.
-LEAST_RESIDUAL = 2.0
+MIN_CONTRAST = 0.25
+# The rough lines of rods with a larger half width than this, px, are first centred on this many
+# rows; a contrast counts no more than this, grey levels.
+WIDE_PX, CENTRE_ROWS, MAX_CONTRAST = 4.0, 40, 60.0
+# Least residual above which a row is down-weighted, grey levels.
+MIN_RESIDUAL = 2.0
 
 
 class RodFit(NamedTuple):
-    """A rod's middle line and width in the picture.
+    """A rod's middle line and width in the image.
 
     ``parameters`` as in ``_rod_fit_kernels``, for z = (y - y_middle) / y_scale.
     """
@@ -66,7 +65,7 @@ class RodFit(NamedTuple):
     y_scale: float
 
     def place(self, y: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the middle of the rod at row y, its direction upwards, half its width across."""
+        """Return the middle of the rod at row y, its direction upwards, and half its width."""
         p, z = self.parameters, (y - self.y_middle) / self.y_scale
         slope = (p[1] + 2 * z * p[C2]) / self.y_scale
         length = float(np.hypot(slope, 1))
@@ -77,25 +76,28 @@ class RodFit(NamedTuple):
 def fit_rods(
     image: FloatImage,
     marks_px: list[FloatArray | None],
-    borders_y: FloatArray,
+    edges_y: FloatArray,
     width_px: FloatArray,
+    light_bands: Mask,
 ) -> list[RodFit | None]:
     """Fit the middle lines of a board's rods to their two sides.
 
-    Each row between the marks has its own background on either side and its own level; the lines
-    are the rods' own; how much wider than expected they are, their shading and the blur are common
-    to all. Rows that do not fit (clutter, something in front) count less.
+    Each row between the marks has its own level and its own background on either side. Each rod
+    has its own line. All rods share the ratio of real to expected width, the shading and the blur.
+    Rows that do not fit (clutter, something in front) are down-weighted.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     marks_px : list of (M, 2) float64 or None
-        Rough positions of each rod's marks, NaN = unknown, at least two; None = no such rod.
-    borders_y : (R, M) float64
-        Rows of all borders, found or not, px.
+        Rough positions of each rod's marks, at least two, NaN = unknown; None = no such rod.
+    edges_y : (R, M) float64
+        Rows of all edges, found or not, px.
     width_px : (R, M) float64
         Expected width across each rod at its marks, px.
+    light_bands : (M + 1,) bool
+        Which bands are light, from the lowest up.
 
     Returns
     -------
@@ -105,13 +107,15 @@ def fit_rods(
     """
     places = [np.nanmean(marks[:, 0]) for marks in marks_px if marks is not None]
     sides = [
-        None if marks is None else _start(image, marks, borders, width, float(np.mean(places)))
-        for marks, borders, width in zip(marks_px, borders_y, width_px, strict=True)
+        None
+        if marks is None
+        else _start(image, marks, edges, width, light_bands, float(np.mean(places)))
+        for marks, edges, width in zip(marks_px, edges_y, width_px, strict=True)
     ]
     seen = [side for side in sides if side is not None]
     common = COMMON_START.copy()
     for step in range(ROD_STEPS if seen else 0):
-        # a blurred model first: its edges reach farther
+        # a blurred model first: it converges from farther away
         systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
         change = np.zeros(len(common))
         if step >= LINE_STEPS:
@@ -123,8 +127,8 @@ def fit_rods(
             own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
             limit = 2 * side.half_row_px[0] * LINE_STEP
             side.line = side.line + np.clip(own, -limit, limit)
-            _weigh_rows(side.rows, side.band)
-    # one rod may stand where its background varies with its bands; a board of such is none
+            _reweight_rows(side.rows, side.light)
+    # the background of one rod may vary with its bands; of most rods it cannot
     flat = [side for side in seen if not side.stands_out(common)]
     lost = flat if 2 * len(flat) > len(seen) else []
     return [None if side is None or side in lost else side.result(common) for side in sides]
@@ -132,10 +136,10 @@ def fit_rods(
 
 @dataclass(eq=False)
 class _Side:
-    """A rod while it is fitted: C0, C1 in ``line``; rows as accumulate_rows takes them.
+    """A rod during the fit: C0, C1 in ``line``; ``rows`` as `accumulate_rows` takes them.
 
-    ``half_row_px`` is half the width along a row that is expected: R0, R1. ``bend`` (2,) is what
-    the common parameters of the lens do to C2.
+    ``half_row_px``: R0 and R1 of the expected half width along a row. ``bend`` (2,): derivatives
+    of C2 by the common parameters of the lens. ``light`` (n,): which rows are in light bands.
     """
 
     line: FloatArray
@@ -144,7 +148,7 @@ class _Side:
     y_middle: float
     y_scale: float
     rows: FloatArray
-    band: npt.NDArray[np.int64]
+    light: Mask
 
     def parameters(self, common: FloatArray) -> FloatArray:
         """Return the parameters of the kernels."""
@@ -158,27 +162,27 @@ class _Side:
         return RodFit(self.parameters(common), self.y_middle, self.y_scale)
 
     def stands_out(self, common: FloatArray) -> bool:
-        """Return whether both sides can be told from what is beside the rod.
+        """Return whether the rod stands out from what is beside it on both sides.
 
-        A background as dark as the dark bands is darker than the light ones, so that the mean
-        contrast of both kinds of band is half their step at least; at the border between two rows
-        of a chessboard's squares it is nothing on one side.
+        A background as dark as the dark bands is darker than the light ones, so the contrast of
+        dark and light bands together averages at least half their step. Within a column of a
+        chessboard's squares it is zero on at least one side.
         """
         seen = np.isfinite(self.rows[:, 3])
         _, _, weight, level, _, left, right = self.rows[seen].T
-        light = self.band[seen] % 2 == 1
+        light = self.light[seen]
         if weight[light].sum() <= 0 or weight[~light].sum() <= 0:
             return True
         dark_level, light_level = (
             np.average(level[kind], weights=weight[kind]) for kind in (~light, light)
         )
         for side, beside in ((-1.0, left), (1.0, right)):
-            edge = shading(side, common[1], common[2])
-            contrast = np.abs(edge * level - beside)
+            shade = shading(side, common[1], common[2])
+            contrast = np.abs(shade * level - beside)
             mean = np.mean(
                 [np.average(contrast[kind], weights=weight[kind]) for kind in (~light, light)]
             )
-            if mean < LEAST_CONTRAST * edge * (light_level - dark_level):
+            if mean < MIN_CONTRAST * shade * (light_level - dark_level):
                 return False
         return True
 
@@ -186,11 +190,12 @@ class _Side:
 def _start(
     image: FloatImage,
     marks: FloatArray,
-    borders_y: FloatArray,
+    edges_y: FloatArray,
     width_px: FloatArray,
+    light_bands: Mask,
     x_middle: float,
 ) -> _Side:
-    """Set a rod up on the straight line through its marks."""
+    """Start the fit of a rod from the straight line through its marks."""
     order = np.argsort(-marks[:, 1])  # NaN last
     order = order[: np.isfinite(marks[:, 0]).sum()]
     known, width_px = marks[order], width_px[order]
@@ -203,18 +208,18 @@ def _start(
     gap = float(np.median(np.abs(np.diff(known[:, 1]))))
     first, last = max(0, int(low - BEYOND * gap)), min(len(image) - 1, int(high + BEYOND * gap))
     y = np.arange(first, last + 1)
-    away = np.abs(y[:, None] - borders_y).min(1)
+    away = np.abs(y[:, None] - edges_y).min(1)
     y = y[away > GUARD_PX + 0.5 * width * np.sqrt(lean**2 - 1)]
-    y = y[:: len(y) // MOST_ROWS + 1]
+    y = y[:: len(y) // MAX_ROWS + 1]
     rows = np.zeros((len(y), 7))
     rows[:, 0], rows[:, 1], rows[:, 2] = y, (y - middle) / scale, 1.0
-    band = (borders_y > y[:, None]).sum(1)
+    light = light_bands[(edges_y > y[:, None]).sum(1)]
     half = 0.5 * lean * np.array([width, taper])
     bend = BEND_UNIT * scale**2 * np.array([1.0, (x0 - x_middle) / BEND_REACH_PX])
     line = np.array([x0, slope])
     if half[0] > WIDE_PX:
-        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MOST_CONTRAST)
-    return _Side(line, half, bend, middle, scale, rows, band)
+        centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MAX_CONTRAST)
+    return _Side(line, half, bend, middle, scale, rows, light)
 
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
@@ -232,16 +237,16 @@ def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatAr
 def _normal_equations(
     image: FloatImage, side: _Side, common: FloatArray, soften: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return normal matrix and gradient by C0, C1 and the common parameters.
+    """Return normal matrix and gradient for C0, C1 and the common parameters.
 
-    In units of the residuals' variance.
+    Both are divided by the variance of the residuals.
     """
     parameters = side.parameters(common)
     parameters[SIGMA] = max(common[3], soften * 2 * side.half_row_px[0])
     normal = np.zeros((ROD_PARAMETERS, ROD_PARAMETERS))
     gradient = np.zeros(ROD_PARAMETERS)
     accumulate_rows(image, side.rows, parameters, normal, gradient)
-    # how the kernels' parameters follow from the rod's own and the common ones
+    # derivatives of the kernels' parameters by the rod's own and the common ones
     combine = np.zeros((ROD_PARAMETERS, OWN + len(common)))
     combine[[C0, C1, S1, S2, SIGMA], [0, 1, 3, 4, 5]] = 1.0
     combine[[R0, R1], 2] = side.half_row_px
@@ -249,25 +254,25 @@ def _normal_equations(
     normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
     residual, weight = side.rows[:, 4], side.rows[:, 2]
     used = np.isfinite(residual) & (weight > 0)
-    variance = LEAST_RESIDUAL**2
+    variance = MIN_RESIDUAL**2
     if used.any():
         variance += float(np.average(residual[used] ** 2, weights=weight[used]))
     normal[range(OWN), range(OWN)] += 1e-6 * variance
     return normal / variance, gradient / variance
 
 
-def _weigh_rows(rows: FloatArray, band: npt.NDArray[np.int64]) -> None:
-    """Let rows count less whose residual is large or whose level is not that of their band."""
+def _reweight_rows(rows: FloatArray, light: Mask) -> None:
+    """Down-weight rows with a large residual or a level unlike that of their kind of band."""
     level, residual = rows[:, 3], rows[:, 4]
     seen = np.isfinite(residual)
     if not seen.any():
         return
-    typical = max(LEAST_RESIDUAL, float(np.median(residual[seen])))
+    typical = max(MIN_RESIDUAL, float(np.median(residual[seen])))
     weight = 1 / (1 + (residual / typical) ** 2) ** 2
-    for light in (0, 1):
-        same = seen & (band % 2 == light)
+    for kind in (~light, light):
+        same = seen & kind
         if same.any():
             median = np.median(level[same])
-            spread = np.median(np.abs(level[same] - median)) + LEAST_RESIDUAL
+            spread = np.median(np.abs(level[same] - median)) + MIN_RESIDUAL
             weight[same] /= (1 + ((level[same] - median) / (3 * spread)) ** 2) ** 2
     rows[:, 2] = np.where(seen, weight, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that search along lines: a wide rod's two sides, and further marks of a rod."""
+"""Kernels that search along lines for a wide rod's two sides and for further marks of a rod."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import math
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
-# Shifts of either end that are tried, as shares of the rod's half width: -4 .. 4 of these steps.
+# Step of the shifts of either end, as a share of the rod's half width; -4 .. 4 steps are tried.
 SHIFT_STEP, SHIFTS = 0.18, 4
-# How far within and beyond a side its levels are taken, as a share of the half width.
-WITHIN = 0.35
-# How near the frame a mark may be, px.
-FRAME_PX = 1.0
+# Distance of the samples inside and outside a side, as a share of the half width.
+OFF_SIDE = 0.35
+# Least distance of a mark from the image border, px.
+BORDER_PX = 1.0
 
-# Agreement of what is out of the picture.
+# Agreement of a mark outside the image.
 OUTSIDE = -9.0
 
 
 @kernel
 def _level(image: FloatImage, x: float, y: int) -> float:
-    """Return the mean level of three pixels of a row; the frame's where it is outside."""
+    """Return the mean level of three pixels of a row; at the border for one outside."""
     last = image.shape[1] - 2
     i = min(max(int(x + 0.5), 1), last)
     return float((image[y, i - 1] + image[y, i] + image[y, i + 1]) / 3)
@@ -34,15 +34,15 @@ def centre_rod(
 ) -> None:
     """Shift both ends of a line sideways until it lies between two sides.
 
-    A rod is even across and differs from what is beside it; the shift with the largest sum over
-    the rows is taken.
+    A rod is uniform across and differs from what is beside it. The shift with the largest sum of
+    contrasts over the rows is taken.
 
     Parameters
     ----------
     image : (H, W) float32
         Grey levels.
     rows : (n, k) float64
-        y and z of the rows to look at, then anything.
+        y and z of the rows used; other columns are ignored.
     line : (2,) float64
         Middle at z = 0 and its slope by z; changed in place.
     half_px : (2,) float64
@@ -63,8 +63,8 @@ def centre_rod(
                 x = line[0] + z * line[1] + SHIFT_STEP * half_px[0] * shift
                 middle = _level(image, x, y)
                 for side in (-1, 1):
-                    inner = _level(image, x + side * (1 - WITHIN) * half, y)
-                    outer = _level(image, x + side * (1 + WITHIN) * half, y)
+                    inner = _level(image, x + side * (1 - OFF_SIDE) * half, y)
+                    outer = _level(image, x + side * (1 + OFF_SIDE) * half, y)
                     total += min(abs(outer - inner), most) - min(abs(inner - middle), most)
             if total > best:
                 best, best_low, best_high = total, low, high
@@ -77,16 +77,16 @@ def centre_rod(
 def _agreement(
     middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
 ) -> float:
-    """Return how well the levels above and below x, y agree with ``levels`` (below, above).
+    """Return how well the levels below and above x, y agree with ``levels`` (below, above).
 
-    ``up`` reaches from the border to the middle of the band above. ``OUTSIDE`` there.
+    ``up`` reaches from the edge to the middle of the band above. ``OUTSIDE`` if x, y is outside.
     """
     height, width = middle.shape
     xa, ya = int(x + up[0] + 0.5), int(y + up[1] + 0.5)
     xb, yb = int(x - up[0] + 0.5), int(y - up[1] + 0.5)
-    # next to the frame the bands are short
+    # next to the image border the bands are short
     ya, yb = max(ya, 0), min(yb, height - 1)
-    if not (FRAME_PX <= y <= height - 1 - FRAME_PX and FRAME_PX <= x <= width - 1 - FRAME_PX):
+    if not (BORDER_PX <= y <= height - 1 - BORDER_PX and BORDER_PX <= x <= width - 1 - BORDER_PX):
         return OUTSIDE
     if xa < 0 or xa >= width or xb < 0 or xb >= width:
         return OUTSIDE
@@ -99,6 +99,7 @@ def search_line(
     middle: FloatImage,
     near: FloatImage,
     predicted: FloatArray,
+    dark_below: Mask,
     window: FloatArray,
     levels: FloatArray,
     rises: FloatArray,
@@ -113,14 +114,16 @@ def search_line(
         Image averaged over the rod's width, and over a few rows only.
     predicted : (M, 2) float64
         Where the marks should be, px.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     window : (4,) float64
         Largest shift sideways and along, and the steps sideways and along, px.
     levels : (2,) float64
         Grey levels of dark and light bands.
     rises : (2,) float64
-        Distance from a border at which levels of ``middle`` and ``near`` are compared, px.
+        Distance from an edge at which levels of ``middle`` and ``near`` are compared, px.
     points, agreement : (M, 2), (M,) float64
-        Written: the marks' places and how well their levels agree.
+        Written: the marks' positions and how well their levels agree.
 
     """
     count = predicted.shape[0]
@@ -143,9 +146,9 @@ def search_line(
                     x = predicted[m, 0] - side * dy + along * dx
                     y = predicted[m, 1] + side * dx + along * dy
                     value = _agreement(
-                        middle, x, y, (rise * dx, rise * dy), levels if m % 2 == 0 else flipped
+                        middle, x, y, (rise * dx, rise * dy), levels if dark_below[m] else flipped
                     )
-                    # what is out of the picture tells nothing
+                    # marks outside the image count neither way
                     if value != OUTSIDE:
                         total += max(-0.5, value)
                 # equal scores: the smaller shift
@@ -157,7 +160,7 @@ def search_line(
         side = step * (best_low + f * (best_high - best_low))
         # each mark may still be a little off
         agreement[m] = OUTSIDE
-        expected = levels if m % 2 == 0 else flipped
+        expected = levels if dark_below[m] else flipped
         for extra in range(-2, 3):
             along = best_along + extra
             x = predicted[m, 0] - side * dy + along * dx

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the rods of a board in a picture and measure their marks below a pixel."""
+"""Find the rods of a board in an image and measure their marks to subpixel accuracy."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.calibration.detection._board_layout import Layout, identify
-from binocular_recon.calibration.detection._guided_search import LEAST_MARKS, Averaged, complete
+from binocular_recon.calibration.detection._guided_search import MIN_MARKS, Averaged, complete
 from binocular_recon.calibration.detection._identity import settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
+from binocular_recon.calibration.detection._reversed_bands import explains_more, moved_readings
 from binocular_recon.calibration.detection._rod_search import Track, find_tracks
 from binocular_recon.calibration.target.board_plane import plane_marks, predict_marks
 from binocular_recon.calibration.target.rods import RodBoard
@@ -22,31 +23,32 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
 
-# Smallest side of a picture that is searched, px.
-LEAST_SIZE_PX = 32
-# Grey levels between the darkest and the lightest part of a picture after stretching.
+# Least width and height of an image, px.
+MIN_SIZE_PX = 32
+# Grey levels between the darkest and the lightest part of an image after stretching.
 FULL_RANGE = 255.0
-# Least step of a border, in levels of the stretched picture and in standard deviations of noise.
-LEAST_STEP, LEAST_STEP_SIGMAS = 8.0, 4.0
+# Least step of an edge, in levels of the stretched image and in standard deviations of its noise.
+MIN_STEP, MIN_STEP_SIGMAS = 8.0, 4.0
 # With this share of the marks found, no other channel or lean (dx / dy) of the rods is tried.
 ENOUGH = 0.6
 FURTHER_LEANS = (-0.22, 0.22)
 # Share of the marks that the only rod of a board must show.
 LONE_ROD_SHARE = 0.8
-# Arrangements of candidates looked at before giving up.
-MOST_LAYOUTS = 3
-# Identities adopted one after the other before giving up.
-MOST_IDENTITIES = 3
+# Layouts of candidates tried before giving up.
+MAX_LAYOUTS = 3
+# Identities tried one after the other before giving up.
+MAX_IDENTITIES = 3
 NOTHING = 'no board found; check that the rods are in view and that rods.yaml describes them'
 AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
 )
+REVERSED = 'the rods begin with a {} band; set mark_type: {} in rods.yaml'
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """What was found of a board in one picture.
+    """Marks of a board found in one image.
 
     Attributes
     ----------
@@ -56,7 +58,7 @@ class Detection:
     sigma_px : (R, M) float64
         One standard deviation of each mark along its rod, px; NaN = not found.
     messages : tuple of str
-        What is missing, in words a crew can act on; empty if every mark was found.
+        What is missing and what to do about it; empty if every mark was found.
 
     """
 
@@ -72,83 +74,132 @@ class Detection:
 
 
 def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
-    """Find the rods of a board in a picture.
+    """Find the rods of a board in an image.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8 or uint16
-        Grey or BGR picture, not rectified.
+        Grey or BGR, not rectified.
     board : RodBoard
         The rods.
 
     Returns
     -------
     Detection
-        Each mark with its rod and height, or left out if there is doubt.
+        The marks; one in doubt is left out. Where the image contradicts ``rods.yaml`` or does not
+        show which marks these are, none is found and ``messages`` says why.
 
     Raises
     ------
     ImageError
-        If the picture's type or shape is another.
+        If the image has another type or shape.
 
     """
     image = _checked(image)
     height, width = image.shape[:2]
-    best = _nothing(board, f'a picture of {width}x{height} px is too small for rods')
-    if min(height, width) < LEAST_SIZE_PX:
-        return best
-    for attempt, (grey, tracks) in enumerate(_searches(image, board)):
-        detection = _detect(grey, board, tracks)
-        if attempt == 0 or detection.found.sum() > best.found.sum():
+    if min(height, width) < MIN_SIZE_PX:
+        return _nothing(board, f'an image of {width}x{height} px is too small for rods')
+    detection, measured = _search(image, board)
+    mark_type = board.mark_type.reversed()
+    if mark_type is not None:
+        other = replace(board, mark_type=mark_type)
+        if _shows(image, other, detection, measured):
+            return _nothing(board, REVERSED.format(mark_type.lowest_band, mark_type.name))
+    return detection
+
+
+class _Measured(NamedTuple):
+    """Marks measured in an image; ``detection`` is empty if they could not be identified."""
+
+    detection: Detection
+    refined: Refined
+    image: FloatImage
+    averaged: Averaged
+
+
+def _search(
+    image: npt.NDArray[Any], board: RodBoard, *, leaning: bool = True
+) -> tuple[Detection, _Measured | None]:
+    """Return the best detection and the largest set of marks measured, identified or not."""
+    best, most = None, None
+    for grey, tracks in _searches(image, board, leaning):
+        measured = _measure_best(grey, board, tracks)
+        detection = measured.detection if measured else _nothing(board, NOTHING)
+        if best is None or detection.found.sum() > best.found.sum():
             best = detection
+        if measured and (most is None or _count(measured) > _count(most)):
+            most = measured
         if best.found.mean() >= ENOUGH:
             break
-    return best
+    assert best is not None
+    return best, most
+
+
+def _count(measured: _Measured) -> int:
+    return int(np.isfinite(measured.refined.marks_px[..., 0]).sum())
+
+
+def _shows(
+    image: npt.NDArray[Any], other: RodBoard, detection: Detection, measured: _Measured | None
+) -> bool:
+    """Return whether an image shows another board markedly better than the detected one."""
+    own = None if measured is None else measured.refined
+    if measured is not None and detection.found.mean() >= ENOUGH:
+        # no new search: the same edges, read as other marks
+        readings = moved_readings(measured.image, measured.averaged, other, measured.refined)
+        return any(explains_more(reading, own) for reading in readings)
+    found, best = _search(image, other, leaning=False)
+    # what is not compared with a board must be a good part of one
+    enough = found.found.mean() >= ENOUGH if own is None else found.found.any()
+    return bool(enough) and best is not None and explains_more(best.refined, own)
 
 
 def _searches(
-    image: npt.NDArray[Any], board: RodBoard
+    image: npt.NDArray[Any], board: RodBoard, leaning: bool
 ) -> Iterator[tuple[FloatImage, list[Track]]]:
-    """Yield stretched pictures with what may be rods: upright ones, then leaning ones too."""
+    """Yield stretched images with candidates for rods: upright ones, then leaning ones too."""
     upright = []
     for grey in _channels(image):
         stretched, threshold = _stretch(grey)
         tracks = find_tracks(stretched, board, threshold)
         yield stretched, tracks
         upright.append((stretched, threshold, tracks))
-    for stretched, threshold, tracks in upright:
+    for stretched, threshold, tracks in upright if leaning else ():
         yield stretched, find_tracks(stretched, board, threshold, FURTHER_LEANS, tracks)
 
 
-def _detect(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> Detection:
-    for _ in range(MOST_LAYOUTS):
+def _measure_best(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> _Measured | None:
+    """Measure the most convincing layout of the tracks; None if there is none."""
+    for _ in range(MAX_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
             break
-        detection = _settle(grey, board, layout)
-        if detection is not None:
-            return detection
-        # regular clutter, such as a chessboard, looked more like the board
+        measured = _settle(grey, board, layout)
+        if measured is not None:
+            return measured
+        # regular clutter, such as a chessboard, looked more like the board: try without it
         tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
-    return _nothing(board, NOTHING)
+    return None
 
 
-def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> Detection | None:
-    """Measure the marks of a layout and make sure which they are; None if it is no board."""
+def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | None:
+    """Measure the marks of a layout and identify them; None if it is not a board."""
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
-    for _ in range(MOST_IDENTITIES):
+    for _ in range(MAX_IDENTITIES):
         refined = _measure(image, averaged, board, rough)
         if not _convincing(board, refined.marks_px):
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
-            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < LEAST_MARKS
+            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
             refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
-            return Detection(refined.marks_px, refined.sigma_px, _messages(refined.marks_px))
+            marks, sigma = refined.marks_px, refined.sigma_px
+            detection = Detection(marks, sigma, _messages(marks))
+            return _Measured(detection, refined, image, averaged)
         if identity is None:
             break
         rough = identity
-    return _nothing(board, AMBIGUOUS)
+    return _Measured(_nothing(board, AMBIGUOUS), refined, image, averaged)
 
 
 def _nothing(board: RodBoard, message: str) -> Detection:
@@ -157,12 +208,12 @@ def _nothing(board: RodBoard, message: str) -> Detection:
 
 
 def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: FloatArray) -> Refined:
-    """Measure the marks found roughly, then those that the board says must be there too."""
+    """Measure the rough marks, then the further ones that the board predicts."""
     size = image.shape[1], image.shape[0]
     plane = plane_marks(board, rough, size)
     refined = refine(image, board, rough, predict_marks(board, rough, plane), plane)
     for _ in range(2):
-        # what is measured tells better where the rest must be
+        # measured marks predict the others better than rough ones
         known = refined.marks_px
         plane = plane_marks(board, known, size)
         predicted = predict_marks(board, known, plane)
@@ -174,9 +225,9 @@ def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: Floa
 
 
 def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
-    """Return whether enough marks stand in line for a board: three on each of two rods.
+    """Return whether there are enough marks for a board: three on each of two rods.
 
-    A lone rod has nothing but its marks to tell it from a post with bands: most must be there.
+    Only its marks distinguish a single rod from a banded post: most must be there.
     """
     per_rod = np.isfinite(marks_px[..., 0]).sum(1)
     if board.count == 1:
@@ -186,21 +237,21 @@ def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
 
 
 def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a picture as (H, W) or (H, W, 3); raise an ImageError if it is none."""
+    """Return an image as (H, W) or (H, W, 3); raise an ImageError for any other."""
     if image.dtype not in (np.uint8, np.uint16) or image.ndim not in (2, 3):
         raise ImageError(
-            f'a picture of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
+            f'an image of rods must be (H, W) or (H, W, 3) uint8 or uint16, got'
             f' {image.shape} {image.dtype}'
         )
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.ndim == 3 and image.shape[2] != 3:
-        raise ImageError(f'a colour picture must have 3 channels, got {image.shape[2]}')
+        raise ImageError(f'a colour image must have 3 channels, got {image.shape[2]}')
     return image
 
 
 def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
-    """Yield the grey pictures to search, as float32: luminance, then what painted bands differ in.
+    """Yield the grey images to search, as float32: luminance, then the smallest channel.
 
     The smallest of blue, green and red is low on every strong colour and high on white.
     """
@@ -213,22 +264,22 @@ def _channels(image: npt.NDArray[Any]) -> Iterator[FloatImage]:
 
 
 def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
-    """Stretch a picture to the full range; return it and the least step of a border."""
-    # rods may fill no more than a thousandth of a picture; the mean of pixels hides a bad one
+    """Stretch an image to the full range; return it and the least step of an edge."""
+    # rods may fill only a thousandth of an image; averaging hides single bad pixels
     sample = cv2.resize(grey, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
     low, high = np.percentile(sample, (0.01, 99.99))
     gain = FULL_RANGE / max(float(high - low), 1e-3)
-    # black stays black: light on a round rod multiplies
+    # a gain only: shading on a round rod is a factor, so black must stay black
     stretched = grey * np.float32(gain)
-    # the median of absolute second differences tells the noise: flat places prevail
+    # noise from the median of absolute second differences: most of an image is smooth
     rows = stretched[::4]
     second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
-    return stretched, max(LEAST_STEP, LEAST_STEP_SIGMAS * min(noise, 10.0))
+    return stretched, max(MIN_STEP, MIN_STEP_SIGMAS * min(noise, 10.0))
 
 
 def _messages(marks_px: FloatArray) -> tuple[str, ...]:
-    """Say what is missing."""
+    """Describe what is missing."""
     found = np.isfinite(marks_px[..., 0])
     if found.all():
         return ()

@@ -70,7 +70,7 @@ def recalibrate(
     correction = correction_of(planar, metric_rig(planar))
     corrected = corrected_marks(observed_px, planar, correction)
     state = calibrate_planar(corrected, target, planar.image_size)
-    expected = predict(state, target.as_drawn())
+    expected = predict(state, target.exact())
     original = [
         planar.distort(apply_inverse(correction.side(side), expected[..., uv]), side)
         for side, uv in SIDES

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras look at: rods as ``rods.yaml`` describes them, and their marks.
+"""Calibration targets: the rods that ``rods.yaml`` describes, and their marks.
 
-`rods` reads and checks the file, `target` is the geometry that the adjustment takes (rods, or
-points known exactly), `capture` the marks of one board in both images, `board_plane` where a
-board's marks must lie in an image.
+`rods` reads and checks the file; `mark_types` is the registry of ``mark_type``. `target` is the
+geometry that the adjustment takes: rods, or points known exactly. `capture` holds the marks of
+one board in both images. `board_plane` predicts where a board's marks lie in an image.
 """
 
 from typing import TYPE_CHECKING
@@ -12,12 +12,14 @@ from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from binocular_recon.calibration.target.capture import Capture
-    from binocular_recon.calibration.target.rods import MARK_TYPES, RodBoard, load_rods, save_rods
+    from binocular_recon.calibration.target.mark_types import MARK_TYPES, MarkType
+    from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
     from binocular_recon.calibration.target.target import Target
 
 __all__ = [
     'MARK_TYPES',
     'Capture',
+    'MarkType',
     'RodBoard',
     'Target',
     'load_rods',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of ``rods.yaml``, checked; what is wrong is said with the name of the value."""
+"""Checks of single values of ``rods.yaml``; each error names the value."""
 
 from __future__ import annotations
 

@@ -1,32 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board in a picture: where its marks must be, and whether it can stand there.
+"""A board in an image: where its marks must be, and whether a board can stand like that.
 
 The marks of rods in one line lie in a plane, which a homography maps. Rods off that line are
-moved into it first, by a pinhole camera that fits roughly (Terzakis and Lourakis 2020, SQPnP).
+first moved into it with a roughly fitted pinhole camera (Terzakis and Lourakis 2020, SQPnP).
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
-# Rods stand this far off their place at most, besides four of the board's own sigmas, m.
-ASTRAY_M = 0.06
-# Rods of a board differ in scale by less than this.
-MOST_SCALE = 4.0
+# A rod is off its place by at most this and four of the board's own sigmas, m.
+MAX_OFFSET_M = 0.06
+# The scales of a board's rods differ by less than this factor.
+MAX_SCALE_RATIO = 4.0
 # Rods off the row by less than this lie in its plane, m.
 FLAT_M = 1e-3
-# Focal lengths that cameras have, as shares of the picture's width.
+# Focal lengths of real cameras, as shares of the image's width.
 FOCAL_LENGTHS = np.geomspace(0.4, 5.0, 30)
 
 
 def lateral_limit_m(board: RodBoard) -> float:
-    """Return how far sideways a rod may be from where the others put it, m."""
-    limit = ASTRAY_M + 4 * float(
+    """Return how far sideways a rod may be from where the other rods predict it, m."""
+    limit = MAX_OFFSET_M + 4 * float(
         np.hypot(board.placement_sigma_m, board.tilt_sigma_rad * board.marks_m[-1])
     )
     if board.count > 1:
@@ -35,10 +35,10 @@ def lateral_limit_m(board: RodBoard) -> float:
 
 
 def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> FloatArray | None:
-    """Return where the board that fits the marks found has every mark.
+    """Fit a board to the marks found and return where it has every mark.
 
     (R, M, 2) float64, NaN behind the camera. None if fewer than two rods have two marks each.
-    ``size`` is width and height of the picture, px.
+    ``size`` is width and height of the image, px.
     """
     matrix = _camera(board, marks_px, size)
     if matrix is None:
@@ -51,8 +51,8 @@ def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
     length = np.linalg.norm(projected[:, -1] - projected[:, 0], axis=1)
     known = length[found.any(1) & np.isfinite(length)]
     usual = np.median(known) if known.size else np.nan
-    # beyond the vanishing point or so near that no rig sees it
-    far = ~((length > usual / MOST_SCALE) & (length < usual * MOST_SCALE))
+    # beyond the vanishing point, or too near to be seen
+    far = ~((length > usual / MAX_SCALE_RATIO) & (length < usual * MAX_SCALE_RATIO))
     projected[far] = np.nan
     return projected
 
@@ -60,9 +60,9 @@ def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
 def predict_marks(
     board: RodBoard, marks_px: FloatArray, plane_px: FloatArray | None
 ) -> FloatArray:
-    """Return where every mark should be, from those found: (R, M, 2) float64, NaN = no telling.
+    """Predict every mark from those found: (R, M, 2) float64, NaN = unknown.
 
-    Where the plane of the board puts it, corrected for each rod by what is found of it.
+    The board's plane predicts it; each rod is then corrected by its own marks.
     """
     found = np.isfinite(marks_px[..., 0])
     predicted = np.full_like(marks_px, np.nan) if plane_px is None else plane_px.copy()
@@ -80,25 +80,20 @@ def predict_marks(
     return predicted
 
 
-def expected_in_picture(
-    predicted_px: FloatArray, size: tuple[int, int], margin_px: float
-) -> npt.NDArray[np.bool_]:
-    """Return which marks should be in the picture, (R, M) bool."""
+def inside_image(pixels: FloatArray, size: tuple[int, int], margin_px: float) -> Mask:
+    """Return which pixels (..., 2) lie at least ``margin_px`` inside an image of ``size``."""
     limit = np.array(size) - 1 - margin_px
-    with np.errstate(invalid='ignore'):
-        inside: npt.NDArray[np.bool_] = np.all(
-            (predicted_px >= margin_px) & (predicted_px <= limit), -1
-        )
+    inside: Mask = np.all((pixels >= margin_px) & (pixels <= limit), axis=-1)
     return inside
 
 
 def slant(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> float:
-    """Return how far the marks are from rods that stand square on their row, at the right scale.
+    """Measure how far the rods are from standing square on their row, at the same scale.
 
-    The larger of the cosine between rods and row and the logarithm of their scales' ratio, both
-    in space, with the focal length that suits best (Zhang 2000, eq. 3 and 4, square pixels and
-    the principal point amid the picture). Placing errors and noise make it 0.05 or so. 0 if too
-    little is found to tell.
+    The larger of the cosine between rods and row and the logarithm of the ratio of their scales,
+    both in space, with the focal length that fits best (Zhang 2000, eq. 3 and 4, square pixels,
+    the principal point in the middle of the image). Placement errors and noise make it about
+    0.05. 0 if too few marks are found.
     """
     matrix = _camera(board, marks_px, size)
     return 0.0 if matrix is None else float(_slants(matrix[:, [0, 1, 3]], size).min())
@@ -107,16 +102,16 @@ def slant(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> float
 def fit_camera(
     points_m: FloatArray, pixels: FloatArray, size: tuple[int, int]
 ) -> FloatArray | None:
-    """Return the matrix (3, 4) that maps points near a plane to pixels, None if there is none.
+    """Fit the matrix (3, 4) that maps points near a plane to pixels; None if that fails.
 
     Parameters
     ----------
     points_m : (N, 3) float64
-        Points along, up and off the plane, right-handed and off it towards the viewer, m.
+        Points along, up and off the plane, m; right-handed, the last axis towards the viewer.
     pixels : (N, 2) float64
         Their images, px.
     size : (int, int)
-        Width and height of the picture, px.
+        Width and height of the image, px.
 
     """
     camera: FloatArray = np.eye(3, 4)
@@ -136,7 +131,7 @@ def fit_camera(
 
 
 def _pinhole(points_m: FloatArray, pixels: FloatArray, size: tuple[int, int]) -> FloatArray | None:
-    """Return the camera (3, 4) with square pixels and a centred principal point that fits best."""
+    """Fit a camera matrix (3, 4) with square pixels and a centred principal point."""
     width, height = size
     best, least = None, np.inf
     for focal in FOCAL_LENGTHS[::3] * width:
@@ -159,7 +154,7 @@ def project(camera: FloatArray, points_m: FloatArray) -> FloatArray:
 
 
 def _camera(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> FloatArray | None:
-    """Return the matrix (3, 4) that maps places on and off the row, None without two rods."""
+    """Fit the matrix (3, 4) from row coordinates to pixels; None without two rods."""
     found = np.isfinite(marks_px[..., 0])
     if (found.sum(1) >= 2).sum() < 2:
         return None
@@ -167,21 +162,21 @@ def _camera(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> Flo
 
 
 def _row_points(board: RodBoard) -> FloatArray:
-    """Return the marks along the row, up and off it: (R, M, 3) float64, m."""
+    """Return the marks in row coordinates, along, up and off it: (R, M, 3) float64, m."""
     points = board.world_points()
     points[..., [0, 2]] = board.row_m[:, None]
     return points
 
 
 def _centred(plane: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return a homography to pixels from the middle of the picture, in shares of its width."""
+    """Return a homography to offsets from the image centre, in shares of the image's width."""
     width, height = size
     centred = plane[:2] - 0.5 * np.array([[width - 1], [height - 1]]) * plane[2]
     return np.concatenate([centred / width, plane[2:]])
 
 
 def _slants(plane: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return how far a homography is from one of a plane in space, for each focal length."""
+    """Return how far a homography is from that of a plane in space, for each focal length."""
     across, up = _centred(plane, size).T[:2]
 
     def product(a: FloatArray, b: FloatArray) -> FloatArray:

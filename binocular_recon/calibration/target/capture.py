@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Marks of one board, seen by both cameras."""
+"""The marks of one board in both images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from binocular_recon.camera import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """The marks of one board as both cameras saw them.
+    """The marks of one board in both images.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rods a crew puts up: ``rods.yaml`` and the geometry of their marks.
+"""The rods of a board: ``rods.yaml`` and the geometry of its marks.
 
-A board is one placement of several rods in a row. Board frame: x along the row, to the right as
-seen from the front, y up along the rods, z out of the board's plane towards the viewer, metres.
+A board is one row of rods, put up once. Board frame: x along the row, to the right as seen from
+the front, y up along the rods, z out of the board's plane towards the viewer, metres.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ import numpy as np
 import yaml
 
 from binocular_recon.calibration.target._rods_values import list_of, number, rod_feet
+from binocular_recon.calibration.target.mark_types import BAND_EDGE, MarkType, find_mark_type
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.images import Mask
 
 REQUIRED_KEYS = ('rods', 'marks', 'rod_diameter', 'placement_sigma')
 OPTIONAL_KEYS = ('mark_type', 'height_sigma', 'tilt_sigma')
-MARK_TYPES = ('band_edge',)
-# No survey rod is longer; a larger number is almost surely in millimetres.
-LONGEST_ROD_M = 20.0
+# No survey rod is longer: a larger number is probably in millimetres.
+MAX_ROD_LENGTH_M = 20.0
 
 
 @dataclass(frozen=True, eq=False)
 class RodBoard:
-    """Rods in a row, each with the same marks: what ``rods.yaml`` states.
+    """A row of rods, each with the same marks, as ``rods.yaml`` states it.
 
     Attributes
     ----------
@@ -44,8 +45,8 @@ class RodBoard:
         One standard deviation of a foot's y, m.
     tilt_sigma_rad : float
         One standard deviation of a rod's tilt about x and about z, rad.
-    mark_type : str
-        ``band_edge``: marks are borders of dark and light bands, dark below the first mark.
+    mark_type : MarkType
+        What the marks look like; by default edges of bands, dark below the first mark.
 
     Raises
     ------
@@ -60,10 +61,10 @@ class RodBoard:
     placement_sigma_m: float
     height_sigma_m: float
     tilt_sigma_rad: float
-    mark_type: str = 'band_edge'
+    mark_type: MarkType = BAND_EDGE
 
     def __post_init__(self) -> None:
-        """Bring the arrays to shape and check every value."""
+        """Convert the arrays and check every value."""
         object.__setattr__(
             self, 'rods_xz_m', np.asarray(self.rods_xz_m, np.float64).reshape(-1, 2)
         )
@@ -73,10 +74,6 @@ class RodBoard:
                 raise CalibrationError(
                     f'{name} must be a finite number, got {getattr(self, name)}'
                 )
-        if self.mark_type not in MARK_TYPES:
-            raise CalibrationError(
-                f'mark_type must be one of {", ".join(MARK_TYPES)}, got {self.mark_type!r}'
-            )
         self._check_sigmas()
         self._check_marks()
         self._check_rods()
@@ -98,16 +95,16 @@ class RodBoard:
         if marks.size < 2:
             raise CalibrationError(
                 f'marks must hold at least 2 heights per rod, got {marks.size};'
-                ' list every border between a dark and a light band'
+                ' list every edge between a dark and a light band'
             )
         if not np.isfinite(marks).all() or (np.diff(marks) <= 0).any():
             raise CalibrationError(
                 f'marks must increase from the foot up, got {marks.tolist()}; sort them and'
                 ' remove repeated ones'
             )
-        if not marks[0] > 0 or not marks[-1] <= LONGEST_ROD_M:
+        if not marks[0] > 0 or not marks[-1] <= MAX_ROD_LENGTH_M:
             raise CalibrationError(
-                f'marks must be heights above the foot within 0..{LONGEST_ROD_M:g} m, got'
+                f'marks must be heights above the foot within 0..{MAX_ROD_LENGTH_M:g} m, got'
                 f' {marks[0]:g}..{marks[-1]:g}; are they in metres?'
             )
         if not 0 < self.rod_diameter_m <= marks[-1] - marks[0]:
@@ -143,8 +140,23 @@ class RodBoard:
         return self.marks_m.size
 
     @property
+    def light_bands(self) -> Mask:
+        """Which bands of a rod are light, from the lowest up: (M + 1,) bool."""
+        return self.mark_type.light_bands(self.marks_per_rod)
+
+    @property
+    def dark_below(self) -> Mask:
+        """Which marks have a dark band below and a light one above, (M,) bool."""
+        return self.mark_type.dark_below(self.marks_per_rod)
+
+    @property
+    def mark_offset_m(self) -> float:
+        """Distance of a visible mark from the rod's axis, towards the camera, m."""
+        return self.mark_type.offset_radii * self.rod_diameter_m / 2
+
+    @property
     def row_m(self) -> FloatArray:
-        """Place of each rod along and off its row: (R, 2) float64, m."""
+        """Position of each rod along and off the row: (R, 2) float64, m."""
         return row_of(self.rods_xz_m)
 
     def world_points(self) -> FloatArray:
@@ -163,8 +175,8 @@ class RodBoard:
         ----------
         values : mapping
             ``rods`` (list of ``{x, z}``, z 0 unless given), ``marks``, ``rod_diameter``,
-            ``placement_sigma``; optional ``mark_type`` (``band_edge``), ``height_sigma``
-            (2 x placement_sigma) and ``tilt_sigma`` (placement_sigma per metre).
+            ``placement_sigma``; optional ``mark_type`` (a name of `MARK_TYPES`; ``band_edge``),
+            ``height_sigma`` (2 x placement_sigma) and ``tilt_sigma`` (placement_sigma per metre).
 
         Raises
         ------
@@ -193,7 +205,7 @@ class RodBoard:
             placement_sigma_m=placement,
             height_sigma_m=number('height_sigma', values.get('height_sigma', 2 * placement)),
             tilt_sigma_rad=number('tilt_sigma', values.get('tilt_sigma', placement)),
-            mark_type=str(values.get('mark_type', MARK_TYPES[0])),
+            mark_type=find_mark_type(values.get('mark_type', BAND_EDGE.name)),
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -201,7 +213,7 @@ class RodBoard:
         return {
             'rods': [{'x': float(x), 'z': float(z)} for x, z in self.rods_xz_m],
             'marks': self.marks_m.tolist(),
-            'mark_type': self.mark_type,
+            'mark_type': self.mark_type.name,
             'rod_diameter': float(self.rod_diameter_m),
             'placement_sigma': float(self.placement_sigma_m),
             'height_sigma': float(self.height_sigma_m),
@@ -232,7 +244,7 @@ def load_rods(path: str | Path) -> RodBoard:
         raise FileError(f'{path} is not valid YAML: {detail}') from error
     if not isinstance(values, Mapping):
         raise CalibrationError(
-            f'{path} holds no rods: expected the keys {", ".join(REQUIRED_KEYS)}'
+            f'{path} holds no rods; expected the keys {", ".join(REQUIRED_KEYS)}'
         )
     try:
         return RodBoard.from_mapping(values)
@@ -258,40 +270,9 @@ def save_rods(board: RodBoard, path: str | Path) -> None:
 
 
 def row_of(places_m: FloatArray) -> FloatArray:
-    """Turn places x, z (N, 2), m, about the y axis until their line of best fit lies along x."""
+    """Rotate positions x, z (N, 2), m, about the y axis until their best line lies along x."""
     x, z = places_m.T
     centred = x - x.mean()
     slope = centred @ z / max(float(centred @ centred), 1e-9)
     along, off = np.array([[1.0, slope], [-slope, 1.0]]) / np.hypot(1.0, slope) @ places_m.T
     return np.stack([along, off - off.mean()], -1)
-
-
-def visible_borders(
-    marks_xyz: FloatArray, direction_xyz: FloatArray, centre_xyz: FloatArray, radius_m: float
-) -> FloatArray:
-    """Return the point of each mark's border that faces the camera.
-
-    A border of a band is a ring around the rod; what a camera sees on the rod's centre line is
-    the ring's point nearest to it, not the axis.
-
-    Parameters
-    ----------
-    marks_xyz : (..., 3) float64
-        Marks on the rod's axis, m.
-    direction_xyz : (..., 3) float64
-        Unit direction of the rod's axis, broadcast against ``marks_xyz``.
-    centre_xyz : (3,) float64
-        Optical centre of the camera in the same frame, m.
-    radius_m : float
-        Half the rod's diameter, m.
-
-    Returns
-    -------
-    (..., 3) float64
-        Points on the surface, same frame, m.
-
-    """
-    sight = centre_xyz - marks_xyz
-    sight = sight - np.sum(sight * direction_xyz, axis=-1, keepdims=True) * direction_xyz
-    facing: FloatArray = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-    return marks_xyz + radius_m * facing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras look at: rods whose places are known roughly, or points known exactly."""
+"""Geometry of a target: rods whose places are known roughly, or points known exactly."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Target:
     sigmas : (5,) float64
         One standard deviation of each of ``DEVIATIONS``; 0 = exact.
     radius_m : float
-        Radius of the rods, m: borders are seen on the surface that faces the camera.
+        Distance of the visible marks from the rods' axes, towards the camera, m: for edges of
+        bands the radius of the rods.
 
     """
 
@@ -50,7 +51,7 @@ class Target:
             anchors_m=np.stack([x, np.zeros_like(x), z], axis=-1),
             heights_m=board.marks_m,
             sigmas=np.array([placement, height, placement, tilt, tilt]),
-            radius_m=board.rod_diameter_m / 2,
+            radius_m=board.mark_offset_m,
         )
 
     @classmethod
@@ -74,8 +75,8 @@ class Target:
         marks, _ = self.marks(np.zeros((len(self.anchors_m), 5)))
         return marks
 
-    def as_drawn(self) -> Target:
-        """Return the target as the planar method takes it: exact and without thickness."""
+    def exact(self) -> Target:
+        """Return the target as the planar method takes it: exact rods without thickness."""
         return Target(self.anchors_m, self.heights_m, np.zeros(5))
 
     def marks(self, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:

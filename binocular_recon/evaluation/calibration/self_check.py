@@ -266,7 +266,7 @@ def simulated_captures(
     rng = np.random.default_rng([*seed, 2])
     captures = []
     for index, board in enumerate(placed):
-        left, right = (board.borders_px(view) for view in rig.views())
+        left, right = (board.marks_px(view) for view in rig.views())
         left, right = (px + rng.normal(0, noise_px, px.shape) for px in (left, right))
         captures.append(Capture(f'{index + 1:02d}', left, right))
     return captures

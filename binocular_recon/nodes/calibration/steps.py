@@ -30,8 +30,9 @@ def compile_kernels() -> None:
     image = np.full((600, columns[-1] + 60), 128, np.uint8)
     edges = 550 - np.r_[0, 500 / marks_m[-1] * marks_m, 530].astype(int)
     for column in columns:
-        for index, (bottom, top) in enumerate(itertools.pairwise(edges)):
-            image[top:bottom, column - 4 : column + 4] = 20 if index % 2 == 0 else 235
+        bands = zip(itertools.pairwise(edges), board.light_bands, strict=True)
+        for (bottom, top), light in bands:
+            image[top:bottom, column - 4 : column + 4] = 235 if light else 20
     detect_rods(image, board)
 
 

@@ -156,7 +156,7 @@ def test_advised_board_gains_what_was_promised() -> None:
     middle = np.array([best.column * half * best.distance_m, 1.2, best.distance_m])
     rng = np.random.default_rng(1)
     placed = place_board(board, np.array([0, -np.radians(best.turn_deg), 0]), middle, rng)
-    pixels = [placed.borders_px(view) for view in rig.views()]
+    pixels = [placed.marks_px(view) for view in rig.views()]
     noisy = [px + rng.normal(0, 0.2, px.shape) for px in pixels]
     more = calibrate([*captures_of(), Capture('12', *noisy)], board, SIZE)
     assert more.depth_sigma_m(best.depth_m, 0.0) == pytest.approx(best.sigma_after_m, rel=0.15)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of rod detection against pictures drawn and plane geometry worked out another way."""
+"""Kernels of rod detection against images drawn and plane geometry worked out another way."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from binocular_recon.calibration.detection._border_fit import fit_border
+from binocular_recon.calibration.detection._edge_fit import fit_edge
 from binocular_recon.calibration.detection._guided_search import Averaged
 from binocular_recon.calibration.detection._layout_kernels import predict_rod
 from binocular_recon.calibration.detection._rod_sides import fit_rods
 from binocular_recon.calibration.detection._search_kernels import OUTSIDE, centre_rod, search_line
+from binocular_recon.calibration.target.mark_types import BAND_EDGE
 from binocular_recon.camera import FloatArray
 
 pytestmark = pytest.mark.kernel
@@ -27,12 +28,12 @@ FINE = 8
 def drawn(
     middle: float, slope: float, width: float, flat: bool = False
 ) -> npt.NDArray[np.float32]:
-    """Return a rod with three borders, sampled finely and blurred by 0.8 px."""
+    """Return a rod with three edges, sampled finely and blurred by 0.8 px."""
     y, x = (np.mgrid[: HEIGHT * FINE, : WIDTH * FINE] + 0.5) / FINE - 0.5
     light = (y < MARKS_Y[0]) & (y > MARKS_Y[1]) | (y < MARKS_Y[2])
     across = np.abs(x - middle - slope * (y - MARKS_Y[1])) < width / 2
-    picture = np.where(across, np.where(light, 200.0, 30.0), 90.0 if flat else 60 + x)
-    blurred = cv2.GaussianBlur(picture, (0, 0), 0.75 * FINE)
+    image = np.where(across, np.where(light, 200.0, 30.0), 90.0 if flat else 60 + x)
+    blurred = cv2.GaussianBlur(image, (0, 0), 0.75 * FINE)
     small = cv2.resize(blurred, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)
 
@@ -42,18 +43,19 @@ def marks_at(middle: float, slope: float) -> FloatArray:
 
 
 @pytest.mark.parametrize('width', [4.0, 9.0])
-def test_sides_and_borders_are_found_to_hundredths(width: float) -> None:
+def test_sides_and_edges_are_found_to_hundredths(width: float) -> None:
     image = drawn(28.37, 0.06, width)
     rough = marks_at(28.37, 0.06) + np.array([[1.0, 1.0], [-0.5, -1.0], [0.8, 0.6]])
-    (rod,) = fit_rods(image, [rough], rough[None, :, 1], np.full((1, 3), 1.03 * width))
+    widths, light = np.full((1, 3), 1.03 * width), BAND_EDGE.light_bands(3)
+    (rod,) = fit_rods(image, [rough], rough[None, :, 1], widths, light)
     assert rod is not None
     for mark in marks_at(28.37, 0.06):
         middle, _, half = rod.place(mark[1])
         assert abs(middle[0] - mark[0]) < 0.04
         assert abs(half - width / 2) < 0.1
-        border = fit_border(image, rod, mark[1] + 0.7, (5.0, 5.0), None)
-        assert border is not None
-        assert abs(border.point_px[1] - mark[1]) < 0.03
+        edge = fit_edge(image, rod, mark[1] + 0.7, (5.0, 5.0), None)
+        assert edge is not None
+        assert abs(edge.point_px[1] - mark[1]) < 0.03
 
 
 def test_a_wide_rod_is_centred() -> None:
@@ -88,7 +90,8 @@ def test_marks_are_searched_along_the_line() -> None:
     predicted = np.vstack([marks_at(28.0, 0.0) + np.array([2.0, -1.5]), [30.0, -12.0]])
     points, agreement = np.full((4, 2), np.nan), np.zeros(4)
     search_line(
-        averaged.middle, averaged.near, predicted, np.array([4.0, 3.0, 1.0, 1.0]),
+        averaged.middle, averaged.near, predicted, BAND_EDGE.dark_below(4),
+        np.array([4.0, 3.0, 1.0, 1.0]),
         np.array([30.0, 200.0]), averaged.rises_px, points, agreement,
     )  # fmt: skip
     assert (agreement[:3] > 0.8).all() and agreement[3] == OUTSIDE

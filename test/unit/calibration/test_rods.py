@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""rods.yaml: accepted values, defaults, refusals with a remedy, and the geometry of borders."""
+"""rods.yaml: accepted values, defaults, refusals with a remedy, and the geometry of edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods, visible_borders
+from binocular_recon.calibration.target.mark_types import visible_edges
+from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
 from binocular_recon.errors import CalibrationError, FileError
 
 EXAMPLE = Path(__file__).parents[3] / 'config' / 'rods.yaml'
@@ -54,7 +55,7 @@ def test_round_trip(tmp_path: Path) -> None:
         ({'marks': 'absent'}, 'missing marks'),
         ({'rods': 'absent', 'placement_sigma': 'absent'}, 'missing rods, placement_sigma'),
         ({'rod_diametre': 0.04}, 'unknown rod_diametre'),
-        ({'mark_type': 'ring'}, "mark_type must be one of band_edge, got 'ring'"),
+        ({'mark_type': 'ring'}, "must be one of band_edge, band_edge_light, got 'ring'"),
         ({'marks': [0.3, 0.9, 0.6]}, 'marks must increase'),
         ({'marks': [0.3, 0.3]}, 'marks must increase'),
         ({'marks': [0.3]}, 'at least 2 heights per rod, got 1'),
@@ -103,11 +104,11 @@ def test_files_are_named(tmp_path: Path) -> None:
         save_rods(load_rods(EXAMPLE), tmp_path / 'none' / 'rods.yaml')
 
 
-def test_border_is_seen_on_the_surface() -> None:
+def test_edge_is_seen_on_the_surface() -> None:
     """A ring 1 m below the camera at 10 m, diameter 40 mm: seen 0.33 px above its axis point."""
     up = np.array([0.0, -1.0, 0.0])
     marks = np.array([[0.0, 1.0, 10.0], [0.0, 0.0, 10.0]])
-    seen = visible_borders(marks, up, np.zeros(3), 0.02)
+    seen = visible_edges(marks, up, np.zeros(3), 0.02)
     np.testing.assert_allclose(seen, [[0, 1.0, 9.98], [0, 0, 9.98]], atol=1e-12)
     rows = 1650 * seen[:, 1] / seen[:, 2]
     assert rows[0] - 165.0 == pytest.approx(0.331, abs=1e-3)
@@ -122,5 +123,5 @@ def test_border_is_seen_on_the_surface() -> None:
     )
     nearest = ring[np.linalg.norm(ring, axis=1).argmin()]
     np.testing.assert_allclose(
-        visible_borders(marks[0], axis, np.zeros(3), 0.02), nearest, atol=2e-4
+        visible_edges(marks[0], axis, np.zeros(3), 0.02), nearest, atol=2e-4
     )

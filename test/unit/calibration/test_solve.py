@@ -50,7 +50,7 @@ def captures_at(turns_rad: list[float], depths_m: list[float], board: RodBoard) 
     for index, (turn, depth) in enumerate(zip(turns_rad, depths_m, strict=True)):
         middle = np.array([0.1 * depth * (index % 3 - 1), 1.2, depth])
         placed: PlacedBoard = place_board(board, np.array([0, turn, 0]), middle, rng)
-        pixels = [placed.borders_px(view) for view in rig.views()]
+        pixels = [placed.marks_px(view) for view in rig.views()]
         noisy = [px + rng.normal(0, 0.2, px.shape) for px in pixels]
         captures.append(Capture(f'{index}', *noisy))
     return captures

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator: its geometry against independent formulas, its pictures against its truth."""
+"""The simulator: its geometry against independent formulas, its images against its truth."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_pitch_gives_the_row_differences_of_table_1() -> None:
         rows = []
         for _ in range(40):
             placed = draw_board(board, rig, rng)
-            rows.append((placed.borders_px(left) - placed.borders_px(right))[..., 1])
+            rows.append((placed.marks_px(left) - placed.marks_px(right))[..., 1])
         assert low < np.abs(rows).mean() < high
 
 
@@ -90,10 +90,10 @@ def test_band_edge_is_drawn_where_the_truth_says() -> None:
     placed = place_board(board, np.zeros(3), np.array([0.0, 1.3, 7.0]), np.random.default_rng(0))
     canvas = np.full((1200, 1920, 3), 90.0, np.float32)
     draw_rods(canvas, view, placed, RodPaint(ambient=1.0, grime=0.0))
-    borders = placed.borders_px(view)
+    edges = placed.marks_px(view)
     axis = view.project(placed.marks_xyz())
-    assert np.abs(borders - axis)[:, 0, 1].min() > 0.5
-    for x, y in borders[2]:
+    assert np.abs(edges - axis)[:, 0, 1].min() > 0.5
+    for x, y in edges[2]:
         rows = np.arange(int(y) - 4, int(y) + 6)
         profile = canvas[rows, round(x), 0]
         low, high = sorted((profile[0], profile[-1]))
@@ -111,7 +111,7 @@ def test_rod_is_as_wide_as_its_silhouette() -> None:
     draw_rods(
         canvas, rig.views()[0], placed, RodPaint((1, 1, 1), (1, 1, 1), 2.0, ambient=1, grime=0)
     )
-    x, y = placed.borders_px(rig.views()[0])[2, 3].astype(int)
+    x, y = placed.marks_px(rig.views()[0])[2, 3].astype(int)
     # tangents to a cylinder of radius r at distance d: 2 r / sqrt(d^2 - r^2), times f
     assert canvas[y, x - 20 : x + 21, 0].sum() == pytest.approx(2 * 0.02 / 7 * 1650, rel=0.01)
 
@@ -216,8 +216,8 @@ def test_command_writes_captures_and_truth(tmp_path: Path) -> None:
     truth = json.loads((out / 'truth.json').read_text())
     assert truth['rig']['baseline_m'] == pytest.approx(1.0, abs=1e-3)
     assert np.array(truth['boards'][0]['left_px']).shape == (5, 6, 2)
-    picture = cv2.imread(str(out / 'left_0000.png'))
-    assert picture is not None and picture.shape == (1200, 1920, 3)
+    image = cv2.imread(str(out / 'left_0000.png'))
+    assert image is not None and image.shape == (1200, 1920, 3)
 
 
 def test_command_names_an_empty_folder(tmp_path: Path) -> None:

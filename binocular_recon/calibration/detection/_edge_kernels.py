@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that find short borders between light and dark bands and string them into rods."""
+"""Kernels that find short edges between light and dark bands and chain them into rods."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy.typing as npt
 
 from binocular_recon._jit import kernel
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 IntArray = npt.NDArray[np.int64]
 
 NONE = -1
-# Columns of a table of borders.
+# Columns of the table of edges.
 X, Y, STEP, LIGHT, DARK = range(5)
-# Length of a gap against what the filter's width suggests (its scales are 1.57 apart).
-SHORTEST, LONGEST = 0.6, 1.7
-# Rods lean up to 20 degrees; borders are found to a fraction of their width.
+# Length of a gap against what the filter's width suggests: filters differ by a factor of 1.57.
+MIN_GAP, MAX_GAP = 0.6, 1.7
+# Largest dx / dy of a rod: 20 degrees, and the inaccuracy of its edges.
 LEAN = 0.42
-# Levels of bands of one rod agree to this share of its contrast.
+# Levels of one rod's dark (or light) bands agree to this share of its contrast.
 LEVEL_TOLERANCE = 0.45
 
 
 @kernel
-def border_response(
+def edge_response(
     middle: FloatImage,
     side: FloatImage,
     rise: int,
@@ -33,11 +33,11 @@ def border_response(
     start: int,
     stop: int,
 ) -> None:
-    """Write how much each pixel of rows start..stop - 1 looks like the middle of a border.
+    """Write how much each pixel of rows start..stop - 1 looks like the middle of an edge.
 
-    The step from ``rise`` rows below to as many above on the rod, less the step of the background
-    ``reach`` columns to both sides: a long horizontal edge gives nothing. Positive: dark below.
-    ``middle`` and ``side`` are the image averaged over the boxes of rod and background.
+    The step on the rod from ``rise`` rows below to as many above, less that of the background
+    ``reach`` columns to either side, so that a long horizontal line gives nothing. Positive: dark
+    below. ``middle`` and ``side`` are the image averaged over boxes for rod and background.
     """
     height, width = response.shape
     for y in range(max(start, rise), min(stop, height - rise)):
@@ -61,7 +61,7 @@ def mark_peaks(
     start: int,
     stop: int,
 ) -> None:
-    """Mark the local extremes beyond ``threshold`` in rows start..stop - 1."""
+    """Mark the local extrema beyond ``threshold`` in rows start..stop - 1."""
     height, width = response.shape
     for y in range(start, stop):
         for x in range(width):
@@ -83,28 +83,28 @@ def mark_peaks(
 
 
 @kernel
-def _same_rod(borders: FloatArray, i: int, j: int) -> bool:
-    """Return whether the bands at two borders have the same two levels."""
-    contrast = 0.5 * (abs(borders[i, STEP]) + abs(borders[j, STEP]))
+def _same_rod(edges: FloatArray, i: int, j: int) -> bool:
+    """Return whether the bands at two edges have the same two grey levels."""
+    contrast = 0.5 * (abs(edges[i, STEP]) + abs(edges[j, STEP]))
     limit = LEVEL_TOLERANCE * contrast
     return bool(
-        abs(borders[i, LIGHT] - borders[j, LIGHT]) < limit
-        and abs(borders[i, DARK] - borders[j, DARK]) < limit
+        abs(edges[i, LIGHT] - edges[j, LIGHT]) < limit
+        and abs(edges[i, DARK] - edges[j, DARK]) < limit
     )
 
 
 @kernel
-def _even_band(borders: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
-    """Return whether the band from border i up to border j has one level, the right one."""
+def _even_band(edges: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
+    """Return whether the band from edge i up to edge j has a uniform level, the right one."""
     level = 0.5 * (
-        borders[i, LIGHT] + borders[j, LIGHT]
-        if borders[i, STEP] > 0
-        else borders[i, DARK] + borders[j, DARK]
+        edges[i, LIGHT] + edges[j, LIGHT]
+        if edges[i, STEP] > 0
+        else edges[i, DARK] + edges[j, DARK]
     )
-    limit = LEVEL_TOLERANCE * 0.5 * (abs(borders[i, STEP]) + abs(borders[j, STEP]))
+    limit = LEVEL_TOLERANCE * 0.5 * (abs(edges[i, STEP]) + abs(edges[j, STEP]))
     for k in range(1, 4):
-        x = borders[i, X] + 0.25 * k * (borders[j, X] - borders[i, X])
-        y = borders[i, Y] + 0.25 * k * (borders[j, Y] - borders[i, Y])
+        x = edges[i, X] + 0.25 * k * (edges[j, X] - edges[i, X])
+        y = edges[i, Y] + 0.25 * k * (edges[j, Y] - edges[i, Y])
         if abs(middle[int(y + 0.5), int(x + 0.5)] - level) > limit:
             return False
     return True
@@ -112,14 +112,15 @@ def _even_band(borders: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
 
 @kernel
 def _nearest(
-    borders: FloatArray, first: IntArray, cell: float, point: tuple[float, float, float], like: int
+    edges: FloatArray, first: IntArray, cell: float, point: tuple[float, float, float], like: int
 ) -> int:
-    """Return the border nearest to x, y within a radius that continues ``like``; NONE if none.
+    """Return the edge nearest to x, y within a radius that may be on the rod of edge ``like``.
 
-    The step's sign must be that of ``like`` if the radius is given as negative, else opposite.
+    NONE if there is none. A negative radius asks for a step of the same sign as that of ``like``,
+    a positive one for the opposite sign.
     """
     x, y, radius = point
-    sign = borders[like, STEP] if radius < 0 else -borders[like, STEP]
+    sign = edges[like, STEP] if radius < 0 else -edges[like, STEP]
     radius = abs(radius)
     rows, columns = first.shape[0], first.shape[1] - 1
     best, best_distance = NONE, radius * radius
@@ -129,11 +130,11 @@ def _nearest(
         if c1 <= c0:
             continue
         for j in range(first[r, c0], first[r, c1]):
-            distance = (borders[j, X] - x) ** 2 + (borders[j, Y] - y) ** 2
+            distance = (edges[j, X] - x) ** 2 + (edges[j, Y] - y) ** 2
             if (
                 distance < best_distance
-                and borders[j, STEP] * sign > 0
-                and _same_rod(borders, like, j)
+                and edges[j, STEP] * sign > 0
+                and _same_rod(edges, like, j)
             ):
                 best, best_distance = j, distance
     return best
@@ -141,15 +142,16 @@ def _nearest(
 
 @kernel
 def _grow(
-    borders: FloatArray,
+    edges: FloatArray,
     first: IntArray,
     cell: float,
     marks: FloatArray,
+    dark_below: Mask,
     width: float,
     middle: FloatImage,
     chain: IntArray,
 ) -> int:
-    """Extend a chain that holds two neighbouring marks both ways; return the number of marks."""
+    """Extend a chain of two neighbouring marks both ways; return its number of marks."""
     count = 2
     lowest = 0
     while chain[lowest] == NONE:
@@ -162,18 +164,16 @@ def _grow(
             ratio = (marks[k] - marks[last]) / (marks[last] - marks[before])
             i, j = chain[before], chain[last]
             dx, dy = (
-                ratio * (borders[j, X] - borders[i, X]),
-                ratio * (borders[j, Y] - borders[i, Y]),
+                ratio * (edges[j, X] - edges[i, X]),
+                ratio * (edges[j, Y] - edges[i, Y]),
             )
             radius = 0.3 * width + 0.1 * np.sqrt(dx * dx + dy * dy)
-            if (k - last) % 2 == 0:
+            if dark_below[k] == dark_below[last]:
                 radius = -radius
-            found = _nearest(
-                borders, first, cell, (borders[j, X] + dx, borders[j, Y] + dy, radius), j
-            )
+            found = _nearest(edges, first, cell, (edges[j, X] + dx, edges[j, Y] + dy, radius), j)
             if found != NONE and abs(k - last) == 1:
                 low, high = (j, found) if way == 1 else (found, j)
-                if not _even_band(borders, low, high, middle):
+                if not _even_band(edges, low, high, middle):
                     found = NONE
             if found != NONE:
                 chain[k] = found
@@ -184,34 +184,37 @@ def _grow(
 
 
 @kernel
-def string_rods(
-    borders: FloatArray,
+def chain_edges(
+    edges: FloatArray,
     first: IntArray,
     cell: float,
     marks: FloatArray,
+    dark_below: Mask,
     scale: tuple[float, float],
     middle: FloatImage,
     chains: IntArray,
     counts: IntArray,
 ) -> None:
-    """Write for each border the longest chain that it starts as the lower of two marks.
+    """Write for each edge the longest chain in which it is the lower of the first two marks.
 
     Parameters
     ----------
-    borders : (N, 5) float64
+    edges : (N, 5) float64
         x, y, step, light and dark level, sorted by grid cells, px of ``middle``.
     first : (rows, columns + 1) int64
-        Index of the first border of each cell; row r ends at ``first[r, columns]``.
+        Index of the first edge of each cell; row r ends at ``first[r, columns]``.
     cell : float
         Side of a cell, px.
     marks : (M,) float64
         Heights of the marks, m.
+    dark_below : (M,) bool
+        Which marks have a dark band below and a light one above.
     scale : tuple of float
-        Width of the rods, px, and px per metre that it suggests.
+        Width of the rods, px, and the px per metre that follow from it.
     middle : (H, W) float32
         Image averaged over the rod's width.
     chains : (N, M) int64
-        Border of each mark, NONE = not found.
+        Edge of each mark, NONE = not found.
     counts : (N,) int64
         Number of marks found, 0 = no chain.
 
@@ -219,39 +222,39 @@ def string_rods(
     width, px_per_m = scale
     chain = np.empty(marks.size, np.int64)
     gaps = np.diff(marks)
-    reach = LONGEST * px_per_m * gaps.max()
-    nearest = SHORTEST * px_per_m * gaps.min() * 0.9
+    reach = MAX_GAP * px_per_m * gaps.max()
+    nearest = MIN_GAP * px_per_m * gaps.min() * 0.9
     rows, columns = first.shape[0], first.shape[1] - 1
-    for i in range(borders.shape[0]):
-        x, y = borders[i, X], borders[i, Y]
+    for i in range(edges.shape[0]):
+        x, y = edges[i, X], edges[i, Y]
         side = LEAN * reach
         c0, c1 = max(0, int((x - side) / cell)), min(columns, int((x + side) / cell) + 1)
         for r in range(max(0, int((y - reach) / cell)), min(rows, int((y - nearest) / cell) + 1)):
             if y - nearest < 0:
                 break
             for j in range(first[r, c0], first[r, c1]):
-                dx, dy = borders[j, X] - x, y - borders[j, Y]
+                dx, dy = edges[j, X] - x, y - edges[j, Y]
                 if (
                     dy <= 0
                     or abs(dx) > LEAN * dy
-                    or borders[i, STEP] * borders[j, STEP] > 0
-                    or not _same_rod(borders, i, j)
+                    or edges[i, STEP] * edges[j, STEP] > 0
+                    or not _same_rod(edges, i, j)
                 ):
                     continue
                 length = np.sqrt(dx * dx + dy * dy)
                 even = False
                 for a in range(marks.size - 1):
-                    if (a % 2 == 0) != (borders[i, STEP] > 0):
+                    if dark_below[a] != (edges[i, STEP] > 0):
                         continue
                     ratio = length / (gaps[a] * px_per_m)
-                    if ratio < SHORTEST or ratio > LONGEST:
+                    if ratio < MIN_GAP or ratio > MAX_GAP:
                         continue
-                    if not even and not _even_band(borders, i, j, middle):
+                    if not even and not _even_band(edges, i, j, middle):
                         break
                     even = True
                     chain[:] = NONE
                     chain[a], chain[a + 1] = i, j
-                    count = _grow(borders, first, cell, marks, width, middle, chain)
+                    count = _grow(edges, first, cell, marks, dark_below, width, middle, chain)
                     if count > counts[i]:
                         counts[i] = count
                         chains[i] = chain
