@@ -16,10 +16,19 @@ from typing import Any
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import Options, OptionValue, option
 
+# Values of the option `matcher`: the built-in ones, and those that `register_matcher` adds.
+MATCHER_NAMES = ['ncc']
+
 
 @dataclass(frozen=True)
 class MatchConfig(Options):
     """Options of matching (eq. 10 and the checks after it)."""
+
+    matcher: str = option(
+        'ncc',
+        'Matching algorithm; programs can add their own with register_matcher',
+        choices=MATCHER_NAMES,
+    )
 
     min_disparity: int = option(
         0, 'Smallest disparity searched', unit='px', minimum=-2048, maximum=2048
