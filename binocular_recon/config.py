@@ -25,9 +25,7 @@ class MatchConfig(Options):
     """Options of matching (eq. 10 and the checks after it)."""
 
     matcher: str = option(
-        'ncc',
-        'Matching algorithm; programs can add their own with register_matcher',
-        choices=MATCHER_NAMES,
+        'ncc', 'Matching algorithm; programs can register others', choices=MATCHER_NAMES
     )
 
     min_disparity: int = option(
@@ -65,9 +63,7 @@ class MatchConfig(Options):
         maximum=192,
     )
     half_resolution: bool = option(
-        True,
-        'Fill holes from a match at half resolution where that covers most of the hole; for images'
-        ' with low texture',
+        True, 'Fill holes from a match at half resolution where that covers most of the hole'
     )
     consensus: bool = option(
         False,
@@ -99,11 +95,7 @@ class MatchConfig(Options):
     )
     subpixel: bool = option(True, 'Interpolate between whole disparities')
     speckle_size: int = option(
-        200,
-        'Connected regions of fewer pixels are dropped',
-        unit='px',
-        minimum=0,
-        maximum=100_000,
+        200, 'Smaller connected regions are dropped', unit='px', minimum=0, maximum=100_000
     )
     speckle_range: float = option(
         1.0,
@@ -153,10 +145,7 @@ class FilterConfig(Options):
         1.2, 'Exponent of the gradient term: sensitivity to edges', minimum=0.0, maximum=4.0
     )
     wls_epsilon: float = option(
-        1e-4,
-        'Added to the gradient term, so that links in uniform regions stay finite',
-        minimum=1e-8,
-        maximum=1.0,
+        1e-4, 'Added to the gradient term; limits smoothing', minimum=1e-8, maximum=1.0
     )
     wls_guide: str = option(
         'left', 'Image whose edges are preserved', choices=('left', 'disparity')
@@ -184,11 +173,7 @@ class FilterConfig(Options):
         maximum=100.0,
     )
     wls_tolerance_px: float = option(
-        0.01,
-        'Largest error of the solution relative to the exact one',
-        unit='px',
-        minimum=1e-5,
-        maximum=1.0,
+        0.01, 'Largest error of the solver', unit='px', minimum=1e-5, maximum=1.0
     )
     wls_video: bool = option(
         False,
@@ -212,9 +197,7 @@ class CloudConfig(Options):
         1e6, 'Points farther than this are left out', unit='m', minimum=0.0, maximum=1e6
     )
     keep: str = option(
-        'all',
-        'Points to keep: measured ones only, or also filled ones between them',
-        choices=('measured', 'all'),
+        'all', 'Keep measured points only, or filled ones too', choices=('measured', 'all')
     )
     max_sigma: str = option(
         '10%',

@@ -76,7 +76,7 @@ def test_no_point_without_disparity_behind_infinity_or_out_of_range() -> None:
 
 def test_size_of_another_rig_is_refused() -> None:
     disparity = np.zeros((HEIGHT + 1, WIDTH), np.float32)
-    with pytest.raises(ImageError, match=r'disparity is \(41, 70\) .* the rig has \(40, 70\)'):
+    with pytest.raises(ImageError, match=r'disparity is \(41, 70\), .* the rig has \(40, 70\)'):
         triangulate(disparity, disparity, MEASURED, make_rig(), EVERY)
 
 
