@@ -15,7 +15,7 @@ WORST, UNKNOWN = 252, 160
 def costs(
     left: npt.ArrayLike, right: npt.ArrayLike, size: int, first: int, count: int, noise: float
 ) -> tuple[Array, list[npt.NDArray[np.bool_]]]:
-    """Return costs before rounding (H, W, D), and which pixels of either picture have any (H, W).
+    """Return costs before rounding (H, W, D), and which pixels of either image have any (H, W).
 
     Two windows contribute: that of ``size - 2`` with the weight v / (v + n) of its variance v and
     the variance n of the noise, that of ``size`` with the rest.

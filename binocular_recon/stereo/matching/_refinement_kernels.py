@@ -91,7 +91,7 @@ def weighted_median_strip(
         splat(np.float32(keep)),
         splat(np.float32(1e9)),
     )
-    surely = splat(np.float32(keep) - MEDIAN_ERROR_PX)
+    certain = splat(np.float32(keep) - MEDIAN_ERROR_PX)
     for y in range(start, stop):
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
@@ -127,8 +127,8 @@ def weighted_median_strip(
             to_high = to_low = zero
             for k in range(0, count * LANES, LANES):
                 sample, weight = load(samples, k), load(weights, k)
-                to_high = to_high + at_most(sample, here + surely, weight, zero)
-                to_low = to_low + at_most(sample, here - surely, weight, zero)
+                to_high = to_high + at_most(sample, here + certain, weight, zero)
+                to_low = to_low + at_most(sample, here - certain, weight, zero)
             moves = at_most(to_high, enough, one, at_most(to_low, enough, zero, one))
             if largest(to_int32(moves)) == 0:
                 store(out[y], x, here)

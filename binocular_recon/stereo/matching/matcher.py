@@ -104,7 +104,7 @@ def _measure_by_consensus(left: FloatImage, right: FloatImage, config: MatchConf
 
 
 def _measure(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
-    """Return what is measured, in regions of low texture at half resolution."""
+    """Return the measurements of one match, in regions of low texture at half resolution."""
     disparity, sigma, validity = _measure_once(left, right, config)
     if config.half_resolution and has_low_texture(disparity):
         # half resolution remedies noise, not the other reasons of the checks
@@ -116,7 +116,7 @@ def _measure(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measur
 
 
 def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
-    """Return what is measured at one resolution."""
+    """Return the measurements at one resolution."""
     if min(left.shape) < config.correlation_window_size:
         none = np.full(left.shape, np.nan, np.float32)
         return none, none.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)

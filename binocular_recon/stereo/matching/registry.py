@@ -67,13 +67,14 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     Raises
     ------
     ConfigError
-        If the matcher is not registered in this process.
+        If the matcher is not registered in this process, or ``disparity_range`` is 0.
     ImageError
         If the images differ in size or are not grey levels 0..255, or if a registered matcher
         returns images of another size.
 
     """
     left, right = check_pair(left, right)
+    _ = config.limits_px  # raises if the range is yet to be found
     if config.matcher not in _MATCHERS:  # the options come from another process
         raise ConfigError(
             f'matcher must be one of {", ".join(_MATCHERS)}, got {config.matcher!r}; call'

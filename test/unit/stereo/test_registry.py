@@ -108,3 +108,11 @@ def test_disparities_of_another_size_are_refused() -> None:
     message = r"matcher 'half' returned disparity_px of shape \(12, 32\) for images of \(24, 32\)"
     with pytest.raises(ImageError, match=message):
         match(left, left, MatchConfig(matcher='half'))
+
+
+def test_a_range_that_is_yet_to_be_found_is_refused() -> None:
+    left = BLANK.astype(np.float32)
+    with pytest.raises(
+        ConfigError, match=r'disparity_range is 0 .*; set it, or call search_range'
+    ):
+        match(left, left, MatchConfig())
