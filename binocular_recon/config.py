@@ -128,7 +128,7 @@ class MatchConfig(Options):
         """Smallest and largest disparity searched, px; a ConfigError if `finds_range`."""
         if self.finds_range:
             raise ConfigError(
-                'disparity_range is 0 (to be found from the images); set it, or call'
+                'disparity_range is 0, to be found from the images; set it, or call'
                 ' search_range.choose_range first'
             )
         return float(self.min_disparity), float(self.min_disparity + self.disparity_range - 1)

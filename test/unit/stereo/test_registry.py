@@ -92,7 +92,7 @@ def test_a_name_is_registered_once(name: str) -> None:
 
 def test_options_from_a_process_with_more_matchers_are_refused() -> None:
     register_matcher('constant', constant)
-    config = MatchConfig(matcher='constant')
+    config = MatchConfig(matcher='constant', disparity_range=16)
     del registry._MATCHERS['constant']
     left = BLANK.astype(np.float32)
     with pytest.raises(ConfigError, match=r"one of ncc, got 'constant'; call register_matcher"):
@@ -107,12 +107,12 @@ def test_disparities_of_another_size_are_refused() -> None:
     left = BLANK.astype(np.float32)
     message = r"matcher 'half' returned disparity_px of shape \(12, 32\) for images of \(24, 32\)"
     with pytest.raises(ImageError, match=message):
-        match(left, left, MatchConfig(matcher='half'))
+        match(left, left, MatchConfig(matcher='half', disparity_range=16))
 
 
 def test_a_range_that_is_yet_to_be_found_is_refused() -> None:
     left = BLANK.astype(np.float32)
     with pytest.raises(
-        ConfigError, match=r'disparity_range is 0 .*; set it, or call search_range'
+        ConfigError, match=r'disparity_range is 0, .*; set it, or call search_range'
     ):
         match(left, left, MatchConfig())
