@@ -27,18 +27,17 @@ FARTHEST_START, MOST_DISPARITIES = 2048, 4096
 COARSE_WIDTH_PX = 480
 # Searched at low resolution beyond infinity and in front of it, as shares of the image width.
 BEHIND, IN_FRONT = 0.25, 0.75
-# The farthest and the nearest matches, as shares of all pixels, are ignored: they may be wrong.
-# In the far, a wrong match widens the search at every pixel; in the near, a thin object may have
-# few pixels, so fewer are ignored.
+# The farthest and the nearest matches, as shares of all pixels, are ignored because they may be
+# wrong; fewer of the nearest, because a thin object has few pixels.
 FAR_SHARE, NEAR_SHARE = 0.005, 0.0005
-# The range is widened on either side by this share of it, because low resolution misses thin and
-# small objects.
+# The range is widened by this share of it on either side: low resolution misses small objects.
 MARGIN = 0.2
 # With fewer matches at low resolution, as a share of the image, no range can be found.
 LEAST_MATCHED = 0.03
 # A range is too small if this share of the matches at low resolution is outside.
 OUTSIDE_SHARE = 0.005
-# Images are exchanged if so many pixels match the other way round, and half as many as given.
+# Left and right are exchanged if this share of the pixels matches the other way round, and fewer
+# than half as many match as given.
 EXCHANGED_SHARE = 0.3
 # Connected regions of fewer pixels are dropped at low resolution.
 _SPECKLES = 60
@@ -89,9 +88,9 @@ class RangeChoice(NamedTuple):
     ----------
     search : SearchRange
     warning : str
-        What is wrong with a given range, and the range to set; else empty.
+        Why a given range is too small, and the range to set; else empty.
     outside_share : float
-        Share of the matches at low resolution that lie outside of a range with a warning.
+        Share of the matches at low resolution that are outside a range with a warning.
 
     """
 
@@ -225,7 +224,7 @@ def choose_range(
     *,
     check: bool = True,
 ) -> RangeChoice:
-    """Choose the range to search in a pair; a given one is kept, and checked.
+    """Choose the range to search in a pair; a given range is only checked.
 
     Parameters
     ----------
@@ -254,7 +253,7 @@ def choose_range(
 def _fault(
     seen: Overview, config: MatchConfig, width: int, infinity_px: float | None = None
 ) -> tuple[str, float]:
-    """Return what is wrong with a range that is too small, and the share of matches outside."""
+    """Return why a range is too small ('' if it is not), and the share of matches outside."""
     first, last = config.limits_px
     below, above = seen.outside(first, last)
     if seen.matched_share < LEAST_MATCHED or max(below, above) < OUTSIDE_SHARE:
