@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How kernels are compiled and spread over the cores."""
+"""Compile kernels, and run them on all cores."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import numpy.typing as npt
 from binocular_recon._kernel_cache import watch_cache
 
 F = TypeVar('F', bound=Callable[..., Any])
-Array = npt.NDArray[Any]  # of a kernel, whose compiler finds the type
+Array = npt.NDArray[Any]  # in kernels: numba infers the dtype
 
-# Without nnan and ninf: NaN keeps its meaning.
+# Without nnan and ninf: NaN means "no data", so the compiler must not assume that there is none.
 FASTMATH = {'contract', 'arcp', 'nsz', 'reassoc'}
 
 
@@ -27,12 +27,12 @@ def kernel(function: F) -> F:
 
 
 def ordered_kernel(function: F) -> F:
-    """Compile like `kernel`, but keep the order in which sums and products are written."""
+    """Compile like `kernel`, but evaluate sums and products in the order written."""
     return _compile(function, FASTMATH - {'reassoc'})
 
 
 def inline_kernel(function: F) -> F:
-    """Compile like `kernel`, always into the kernels that call it: for small inner steps."""
+    """Compile like `kernel`, always inlined into the calling kernels: for small inner steps."""
     return _compile(function, FASTMATH, forceinline=True)
 
 
@@ -62,15 +62,15 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix='kernel')
 
 
-if hasattr(os, 'register_at_fork'):  # a forked process has none of the threads
+if hasattr(os, 'register_at_fork'):  # a forked process does not inherit the threads
     os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def over_strips(function: Callable[..., None], length: int, *args: Any, strip: int = 64) -> None:
     """Call ``function(*args, start, stop)`` for strips of ``range(length)`` on all cores.
 
-    The strips do not depend on the number of threads, so neither do results that are
-    accumulated per strip. Strips must not write to the same memory.
+    The strips do not depend on the number of threads, so results that are accumulated per strip
+    do not either. Strips must not write to the same memory.
     """
     threads = thread_count()
     bounds = [(start, min(start + strip, length)) for start in range(0, length, strip)]

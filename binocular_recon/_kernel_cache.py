@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numba's cache on disk, kept true: stale or damaged kernels are compiled again."""
+"""Keep numba's cache on disk valid: stale or damaged kernels are compiled again."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ PACKAGE = Path(__file__).parent
 
 
 def watch_cache(compiled: Any, function: Callable[..., Any]) -> None:
-    """Let the cache of a compiled function notice changes in every file that it may depend on.
+    """Make the cache of a compiled function depend on every file that may be compiled into it.
 
-    Numba looks at the function's own file only, but kernels of other files are compiled into it.
-    Where JIT is disabled nothing is cached.
+    Numba checks the function's own file only, but kernels of other files are inlined into it.
+    With JIT disabled nothing is cached.
     """
     file = getattr(getattr(compiled, '_cache', None), '_cache_file', None)
     if file is not None:
@@ -29,10 +29,10 @@ def watch_cache(compiled: Any, function: Callable[..., Any]) -> None:
 
 @cache
 def kernels_stamp(folder: Path) -> tuple[tuple[float, int], ...]:
-    """Return the times and sizes of all files whose kernels may call each other.
+    """Return the times and sizes of all files that may be compiled into a kernel in ``folder``.
 
-    These are all kernel files of this package, in whatever folder, and for a kernel that somebody
-    else has written those beside it too.
+    These are all kernel files of this package and, for a kernel of another package, the kernel
+    files in the same folder.
     """
     files = {*PACKAGE.rglob('_*_kernels.py'), *PACKAGE.glob('_simd/*.py'), PACKAGE / '_jit.py'}
     files |= set(folder.glob('_*_kernels.py'))
@@ -41,17 +41,16 @@ def kernels_stamp(folder: Path) -> tuple[tuple[float, int], ...]:
 
 
 class _CacheFile(IndexDataCacheFile):
-    """Numba's, but what cannot be loaded is dropped and compiled again.
+    """Numba's cache file, except that an entry that cannot be loaded is compiled again.
 
-    A pickle that was cut off, or that names a class of an earlier version, raises whatever it
-    likes: all of it means that the file is of no use.
+    A truncated pickle, or one that names a class of an earlier version, may raise any exception.
     """
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()  # type: ignore[no-untyped-call]
         except Exception:  # noqa: BLE001
-            with suppress(OSError):  # read-only: compiled again each time
+            with suppress(OSError):  # a read-only cache: compiled again each time
                 self.flush()  # type: ignore[no-untyped-call]
             return {}
 
@@ -59,4 +58,4 @@ class _CacheFile(IndexDataCacheFile):
         try:
             return super()._load_data(name)  # type: ignore[no-untyped-call]
         except Exception as error:
-            raise OSError(f'{name} cannot be loaded') from error  # Numba compiles again
+            raise OSError(f'{name} cannot be loaded') from error  # on which numba compiles again

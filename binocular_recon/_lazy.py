@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Public names of a package, imported when they are first used (as SPEC 1 of Scientific Python).
+"""Public names of a package, imported on first use (SPEC 1 of Scientific Python).
 
-So ``from binocular_recon import read_rig`` does not wait for compilers and solvers that it never
-calls, and a node starts with what it needs.
+``from binocular_recon import read_rig`` does not load compilers and solvers that it never calls,
+and a node loads only what it uses.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 def lazy_exports(package: str, file: str) -> Callable[[str], Any]:
     """Return the ``__getattr__`` of a package that imports its public names on first use.
 
-    The names are those that the package's ``__init__.py`` imports under ``if TYPE_CHECKING:``, so
-    type checkers, readers and this function all take them from one place.
+    The names are those that the package's ``__init__.py`` imports under ``if TYPE_CHECKING:``:
+    one list for type checkers, readers and this function.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrated cameras and stereo rigs: the numbers of a CameraInfo, without ROS.
 
-Frames: optical, x right, y down, z forward, metres. ``x_rectified = R x_camera``;
+Coordinate frames are optical: x right, y down, z forward, metres. ``x_rectified = R x_camera``;
 ``P = K* [I | t]`` projects rectified points, ``P_right[0, 3] = -f B``.
 """
 
@@ -27,7 +27,7 @@ DISTORTION_COEFFICIENTS = {
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One calibrated camera, as a CameraInfo states it.
+    """One calibrated camera, as described by a CameraInfo.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Camera:
     D : (n,) float64
         Distortion coefficients of ``distortion_model``.
     R : (3, 3) float64
-        Rotation from the camera's to the rectified frame; checked by who rectifies.
+        Rotation from the camera's to the rectified frame; `Rectifier` checks it.
     P : (3, 4) float64
         Projection of rectified points to rectified pixels.
     distortion_model : str
@@ -48,7 +48,7 @@ class Camera:
     Raises
     ------
     CalibrationError
-        If the camera is not calibrated or a member contradicts the others.
+        If the camera is not calibrated or its values contradict each other.
 
     """
 
@@ -61,7 +61,7 @@ class Camera:
     distortion_model: str = 'plumb_bob'
 
     def __post_init__(self) -> None:
-        """Bring the matrices to shape and check them."""
+        """Convert the matrices to float64 of the right shapes and check them."""
         for name, shape in (('K', (3, 3)), ('D', (-1,)), ('R', (3, 3)), ('P', (3, 4))):
             values = np.asarray(getattr(self, name), np.float64)
             if name != 'D' and values.size != math.prod(shape):
@@ -106,7 +106,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """Two cameras of one rig whose rectified rows correspond.
+    """The two cameras of a rig; their rectified rows correspond.
 
     Raises
     ------
@@ -119,7 +119,7 @@ class StereoRig:
     right: Camera
 
     def __post_init__(self) -> None:
-        """Check that the two cameras belong together."""
+        """Check that the two cameras form a rectified pair."""
         if self.left.size != self.right.size:
             raise CalibrationError(
                 f'left camera is {self.left.width}x{self.left.height}, right is'

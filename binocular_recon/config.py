@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the chain: every default, unit, range and description is written here and only here.
+"""Options of the chain: the one place for their defaults, units, ranges and descriptions.
 
-Nodes declare their ROS parameters from these fields, the command line its options, and the
-documentation its tables. Names shared with image_pipeline keep its meaning.
+The nodes' ROS parameters, the command line's options and the tables of the documentation are made
+from these fields. Names shared with image_pipeline have the same meaning there.
 """
 
 from __future__ import annotations
@@ -16,18 +16,25 @@ from typing import Any
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import Options, OptionValue, option
 
+# Values of the option `matcher`: the built-in ones, and those that `register_matcher` adds.
+MATCHER_NAMES = ['ncc']
+
 
 @dataclass(frozen=True)
 class MatchConfig(Options):
-    """How rectified rows are matched (eq. 10 and what follows it)."""
+    """Options of matching (eq. 10 and the checks after it)."""
+
+    matcher: str = option(
+        'ncc', 'Matching algorithm; programs can register others', choices=MATCHER_NAMES
+    )
 
     min_disparity: int = option(
         0, 'Smallest disparity searched', unit='px', minimum=-2048, maximum=2048
     )
     disparity_range: int = option(
         0,
-        'Number of disparities searched; 0: found from the images, and min_disparity with it'
-        ' unless that is set',
+        'Number of disparities searched; 0: found from the images, like min_disparity unless'
+        ' that is set',
         unit='px',
         minimum=0,
         maximum=4096,
@@ -36,67 +43,70 @@ class MatchConfig(Options):
         5, 'Side of the square correlation window; odd', unit='px', minimum=3, maximum=31, step=2
     )
     semi_global: bool = option(
-        True, 'Aggregate the scores along rows and down columns; off: each pixel by itself'
+        True,
+        'Semi-global matching: aggregate the scores along rows and down columns; off: each pixel'
+        ' takes its best score (winner takes all)',
     )
-    # the P1 and P2 of Hirschmueller, but in other units than OpenCV's and stereo_image_proc's
+    # Hirschmueller's P1 and P2, in other units than those of OpenCV and stereo_image_proc
     small_step_penalty: int = option(
         30,
-        'Semi-global: penalty of a step of one disparity between neighbours; 63 is the cost of'
-        ' score 0',
+        'Semi-global matching: penalty for neighbours whose disparities differ by 1 px; 63 is the'
+        ' cost of a pixel with score 0',
         minimum=0,
         maximum=192,
         step=2,
     )
     large_step_penalty: int = option(
         190,
-        'Semi-global: penalty of a larger step where neighbours are equally bright',
+        'Semi-global matching: penalty for a larger step between equally bright neighbours',
         minimum=0,
         maximum=192,
     )
     half_resolution: bool = option(
-        True, 'Pixels without a match take that at half resolution, where it sees most of a hole'
+        True, 'Fill holes from a match at half resolution where that covers most of the hole'
     )
     consensus: bool = option(
         False,
-        'Match with the next smaller and larger window too, each from both cameras; keep what'
-        ' half of these agree on',
+        'Match with the next smaller and the next larger window too, each from both cameras, and'
+        ' keep disparities on which at least half of these matches agree',
     )
     texture_threshold: float = option(
         0.5,
-        'Least standard deviation of a window, in grey levels of 255',
+        'Smallest standard deviation of the grey levels (0..255) in a window that is matched',
         unit='grey levels',
         minimum=0.0,
         maximum=127.0,
     )
     uniqueness_ratio: float = option(
         10.0,
-        "Percent by which the best score's 1 - NCC (semi-global: its sum over paths) must beat"
-        ' the second best that is not its neighbour',
+        'Margin by which 1 - NCC of the best disparity (semi-global: its cost summed over paths)'
+        ' must be below that of the second best that is not its neighbour; 0 = off',
         unit='%',
         minimum=0.0,
         maximum=100.0,
     )
     disp12_max_diff: float = option(
         1.0,
-        'Largest difference between left-to-right and right-to-left disparity; negative = off',
+        'Left-right check: largest difference between the disparities found from the left and'
+        ' from the right image; negative = off',
         unit='px',
         minimum=-1.0,
         maximum=128.0,
     )
     subpixel: bool = option(True, 'Interpolate between whole disparities')
     speckle_size: int = option(
-        200, 'Smaller connected regions are invalid', unit='px', minimum=0, maximum=100_000
+        200, 'Smaller connected regions are dropped', unit='px', minimum=0, maximum=100_000
     )
     speckle_range: float = option(
         1.0,
-        'Largest step of disparity inside a connected region',
+        'Largest difference between the disparities of neighbours in a connected region',
         unit='px',
         minimum=0.0,
         maximum=64.0,
     )
 
     def __post_init__(self) -> None:
-        """Check that a larger step costs at least as much as a small one."""
+        """Check that a large step costs at least as much as a small one."""
         super().__post_init__()
         if self.disparity_range == 1:
             raise ConfigError(
@@ -110,103 +120,94 @@ class MatchConfig(Options):
 
     @property
     def finds_range(self) -> bool:
-        """Whether the range is to be found from the images."""
+        """Whether the search range is to be found from the images."""
         return self.disparity_range == 0
 
     @property
     def limits_px(self) -> tuple[float, float]:
-        """Smallest and largest disparity searched, px; a ConfigError if yet to be found."""
+        """Smallest and largest disparity searched, px; a ConfigError if `finds_range`."""
         if self.finds_range:
             raise ConfigError(
-                'disparity_range is 0, to be found from the images; apply search_range.find_range'
-                ' first, or set it'
+                'disparity_range is 0, to be found from the images; set it, or call'
+                ' search_range.choose_range first'
             )
         return float(self.min_disparity), float(self.min_disparity + self.disparity_range - 1)
 
 
 @dataclass(frozen=True)
 class FilterConfig(Options):
-    """How the disparity map is denoised and completed (eq. 11-15)."""
+    """Options of the filter that denoises and completes the disparity map (eq. 11-15)."""
 
     wls_lambda: float = option(
-        0.02, 'Weight of smoothness against data', minimum=1e-6, maximum=1000.0
+        0.02, 'Weight of smoothness relative to the data', minimum=1e-6, maximum=1000.0
     )
     wls_alpha: float = option(
-        1.2, "Sensitivity to the guide's gradients", minimum=0.0, maximum=4.0
+        1.2, 'Exponent of the gradient term: sensitivity to edges', minimum=0.0, maximum=4.0
     )
     wls_epsilon: float = option(
-        1e-4,
-        'Added to the gradient term so that flat regions stay finite',
-        minimum=1e-8,
-        maximum=1.0,
+        1e-4, 'Added to the gradient term; limits smoothing', minimum=1e-8, maximum=1.0
     )
     wls_guide: str = option(
         'left', 'Image whose edges are preserved', choices=('left', 'disparity')
     )
     wls_use_confidence: bool = option(
         True,
-        "Weigh each pixel by its match's confidence; off: by 1, and a pixel without a match takes"
-        ' the nearest in its row',
+        'Weight each pixel by the confidence of its match; off: all weights are 1, and pixels'
+        ' without a match take the nearest disparity of their row',
     )
     wls_complete: bool = option(
         True,
-        'Pixels without a match take the disparity of what lies behind them, with a small'
-        ' confidence; off: smoothness alone fills them',
+        'Give pixels without a match the disparity of the background, with a small weight; off:'
+        ' they are filled by smoothness alone',
     )
     wls_extrapolate: bool = option(
         False,
-        'Columns out of sight of the right camera continue the slope of the surface next to them;'
-        ' off: its disparity',
+        'In columns that the right camera does not see, continue the slope of the adjacent'
+        ' surface; off: continue its disparity',
     )
     wls_disparity_steps: float = option(
         0.1,
-        'Sensitivity to steps of the disparity: times their square, added to the gradient term',
+        'Sensitivity to disparity steps: factor on their square, added to the gradient term',
         unit='1/px^2',
         minimum=0.0,
         maximum=100.0,
     )
     wls_tolerance_px: float = option(
-        0.01,
-        'Largest error of the solution against the exact one',
-        unit='px',
-        minimum=1e-5,
-        maximum=1.0,
+        0.01, 'Largest error of the solver', unit='px', minimum=1e-5, maximum=1.0
     )
     wls_video: bool = option(
         False,
-        "Start each frame from the last one's solution; frames then depend on those before them,"
-        ' within the tolerance',
+        'Start the solver from the solution of the previous frame; faster, but results then depend'
+        ' on earlier frames, within the tolerance',
     )
 
 
-# A depth whose standard deviation is a third of it may be any; it is never a point.
+# A depth with a larger standard deviation, as a share of it, says nothing: there is no point.
 LARGEST_SIGMA_SHARE = 1 / 3
 
 
 @dataclass(frozen=True)
 class CloudConfig(Options):
-    """Which points the cloud holds (eq. 16-18)."""
+    """Options of triangulation (eq. 16-18)."""
 
     min_depth: float = option(
-        0.0, 'Nearer points are left out', unit='m', minimum=0.0, maximum=1e6
+        0.0, 'Points nearer than this are left out', unit='m', minimum=0.0, maximum=1e6
     )
     max_depth: float = option(
-        1e6, 'Farther points are left out', unit='m', minimum=0.0, maximum=1e6
+        1e6, 'Points farther than this are left out', unit='m', minimum=0.0, maximum=1e6
     )
     keep: str = option(
-        'all',
-        'Points of the cloud: measured ones only, or filled ones between them too',
-        choices=('measured', 'all'),
+        'all', 'Keep measured points only, or filled ones too', choices=('measured', 'all')
     )
     max_sigma: str = option(
         '10%',
-        'Points with a larger standard deviation of depth are left out: metres, or with % a share'
-        ' of the depth; those of a third of the depth or more always are',
+        'Points whose depth has a larger standard deviation are left out: in metres, or with % as'
+        ' a share of the depth; from a third of the depth on always',
     )
 
     @property
     def sigma_limit(self) -> tuple[float, float]:
-        """Largest standard deviation of a point's depth: metres, and as a share of its depth."""
+        """Largest standard deviation of the depth of a point: in metres, and as a share of it."""
         text = self.max_sigma.strip()
         value = float(text.removesuffix('%'))
         if text.endswith('%'):
@@ -214,13 +215,13 @@ class CloudConfig(Options):
         return value, LARGEST_SIGMA_SHARE
 
     def __post_init__(self) -> None:
-        """Check that the range is not empty and ``max_sigma`` a number above 0."""
+        """Check that the depth range is not empty and that ``max_sigma`` is a number above 0."""
         super().__post_init__()
         if not re.fullmatch(r'\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*%?\s*', self.max_sigma) or (
             min(self.sigma_limit) <= 0
         ):
             raise ConfigError(
-                f'max_sigma must be metres or a share of the depth, such as 0.05 or 10%, above 0,'
+                'max_sigma must be metres or a share of the depth, above 0, such as 0.05 or 10%,'
                 f' got {self.max_sigma!r}'
             )
         if self.min_depth > self.max_depth:
@@ -247,7 +248,7 @@ class ChainConfig:
         name : str
             One of ``PRESETS``.
         **overrides : bool, int, float or str
-            Options of any group by name; an explicit value wins over the preset's.
+            Options of any group by name; they override the preset's values.
 
         Raises
         ------
@@ -268,9 +269,9 @@ class ChainConfig:
         return cls(**groups)
 
 
-# What each preset changes; the rest are the fields' defaults.
+# The options that each preset changes; all others keep their defaults.
 PRESETS: dict[str, dict[str, OptionValue]] = {
-    # exactly the paper's method, as docs/method.md defines it
+    # the paper's method exactly, as defined in docs/method.md
     'paper': {
         'semi_global': False,
         'correlation_window_size': 9,
@@ -287,9 +288,9 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_complete': False,
         'wls_disparity_steps': 0.0,
     },
-    # no volume, each pixel by itself: for high frame rates
+    # winner takes all, no aggregation: for high frame rates
     'fast': {'semi_global': False, 'correlation_window_size': 7, 'uniqueness_ratio': 2.0},
     'default': {},
-    # several matches of each pair: where time matters less
+    # several matches per pair: where time matters less
     'accurate': {'consensus': True, 'wls_extrapolate': True},
 }

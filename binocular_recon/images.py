@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures in memory: grey levels for matching, BGR for colour."""
+"""Images in memory: grey levels for matching, BGR for colour."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ FloatImage = npt.NDArray[np.float32]
 ByteImage = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
-# Largest value of each accepted type: white.
-# Fewer pixels of one level in one piece at the border are a thing in the picture.
+# Smallest region of one level at the image border that is padding and not a dark object, px.
 LEAST_PADDING = 100
+# Value of white in each accepted dtype.
 _WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
 
 
 def to_grey(image: Image) -> FloatImage:
-    """Return grey levels of 255 without rounding.
+    """Return grey levels on the scale 0..255, not rounded.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ def to_grey(image: Image) -> FloatImage:
     Returns
     -------
     grey : (H, W) float32
-        Rec. 601 luminance; NaN where the picture has no data (a float image's NaN or infinity).
+        Rec. 601 luminance; NaN where a float image is NaN or infinite (no data).
 
     Raises
     ------
     ImageError
-        If the type or the number of channels is another.
+        If the shape or the dtype is not one of these.
 
     """
     channels = _check(image)
@@ -55,15 +55,15 @@ def to_grey(image: Image) -> FloatImage:
 
 
 def mark_empty(grey: FloatImage) -> None:
-    """Mark as no data, in place, what an image only pads: black borders, blank rows and columns.
+    """Set padding to NaN, in place: uniform regions at the border, blank rows and columns.
 
-    Rectification and recorders leave black, or another level in the corners, where they have
-    nothing to show, and broken transfers blank lines. Their edges would be matched like any other.
+    Rectification and recorders leave regions of black, or of another level in the corners, and
+    incomplete transfers leave blank lines. Without this, their outlines would be matched.
 
     Parameters
     ----------
     grey : (H, W) float32
-        Grey levels, `to_grey`; becomes NaN where there is no data.
+        Grey levels from `to_grey`; becomes NaN where there is no data.
 
     """
     black = grey == 0
@@ -74,7 +74,7 @@ def mark_empty(grey: FloatImage) -> None:
         padding = np.zeros(labels.max() + 1, np.bool_)
         padding[touching] = True
         padding &= np.bincount(labels.ravel()) >= LEAST_PADDING
-        padding[0] = False  # what is not black
+        padding[0] = False  # label 0 is all that is not black
         grey[padding[labels]] = np.nan
     height, width = grey.shape
     for corner in ((0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)):
@@ -86,14 +86,14 @@ def mark_empty(grey: FloatImage) -> None:
         if LEAST_PADDING <= area < grey.size:
             grey[mask[1:-1, 1:-1] > 0] = np.nan
     for lines in (grey, grey.T):
-        # fmin and fmax pass over NaN
+        # fmin and fmax ignore NaN
         blank = np.fmin.reduce(lines, axis=1) == np.fmax.reduce(lines, axis=1)
         if blank.any() and not blank.all():
             lines[blank] = np.nan
 
 
 def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
-    """Return a picture for the eye and for the colour of points.
+    """Return an image for display and for the colour of points.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
     Returns
     -------
     bgr : (H, W, 3) uint8
-        Black where a float image has no data; the input itself where it is such a picture.
+        Black where a float image has no data; the input itself if it is 8-bit BGR already.
 
     Raises
     ------
     ImageError
-        If the type or the number of channels is another.
+        If the shape or the dtype is not one of these.
 
     """
     channels = _check(image)
@@ -124,15 +124,15 @@ def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
 
 
 def _check(image: Image) -> int:
-    """Return the number of channels of an accepted picture."""
+    """Return the number of channels of an accepted image."""
     channels = 1 if image.ndim == 2 else image.shape[-1]
     if image.ndim not in (2, 3) or channels not in (1, 3, 4) or image.size == 0:
         raise ImageError(
-            f'picture has shape {image.shape}; it must be (rows, columns) or (rows, columns,'
+            f'image has shape {image.shape}; it must be (rows, columns) or (rows, columns,'
             ' channels) with 1, 3 or 4 channels'
         )
     if image.dtype.name not in _WHITE:
         raise ImageError(
-            f'picture has type {image.dtype}; convert it to one of {", ".join(_WHITE)}'
+            f'image has dtype {image.dtype}; convert it to one of {", ".join(_WHITE)}'
         )
     return channels

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine and the versions that a result depends on."""
+"""The machine and the software versions that a result depends on."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from binocular_recon._jit import thread_count
 
 
 def peak_bytes() -> int | None:
-    """Return the largest memory this process had so far, None where the system does not tell.
+    """Return the peak memory of this process so far, or None where the system does not report it.
 
-    Not from getrusage: its ru_maxrss starts at the parent's peak when a child is started by vfork.
+    Not from getrusage: after vfork, its ru_maxrss starts at the parent's peak.
     """
     try:
         status = Path('/proc/self/status').read_text(encoding='ascii')
@@ -30,7 +30,7 @@ def peak_bytes() -> int | None:
 
 
 def machine_facts() -> dict[str, Any]:
-    """Return what a timing depends on: processor, cores, versions."""
+    """Return what a timing depends on: processor, cores and versions."""
     return {
         'processor': _processor(),
         'cores': thread_count(),

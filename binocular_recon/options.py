@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import field
 from typing import Any
 
@@ -20,24 +21,25 @@ def option(
     minimum: float | None = None,
     maximum: float | None = None,
     step: int | None = None,
-    choices: tuple[str, ...] | None = None,
+    choices: Sequence[str] | None = None,
 ) -> Any:
-    """Declare an option: a dataclass field with its description, unit and limits.
+    """Declare an option: return a dataclass field with its description, unit and limits.
 
     Parameters
     ----------
     default : bool, int, float or str
         Default value; its type is the option's type.
     description : str
-        One sentence for users, without the unit.
+        One sentence for the user, without the unit.
     unit : str
-        Unit of the value, empty for a pure number.
+        Unit of the value; empty for a pure number.
     minimum, maximum : float, optional
-        Closed limits of a number.
+        Limits of a number, both included.
     step : int, optional
-        An integer option takes ``minimum + k * step`` only.
-    choices : tuple of str, optional
-        Accepted values of a string option.
+        An integer option accepts only ``minimum + k * step``.
+    choices : sequence of str, optional
+        Accepted values of a string option. A list stays open: what is appended to it later is
+        accepted too.
 
     """
     metadata = {
@@ -52,7 +54,7 @@ def option(
 
 
 def check_option(spec: dataclasses.Field[Any], value: object) -> OptionValue:
-    """Return ``value`` as the option's type, or raise a ConfigError that says what is allowed."""
+    """Return ``value`` as the option's type, or raise a ConfigError that names what is allowed."""
     kind = type(spec.default)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of several topics that belong to the same moment."""
+"""Synchronise the messages of several topics by their stamps."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from itertools import islice
 from operator import attrgetter
 from typing import Any
 
-# Stamps of an input that are remembered, however few messages wait: they tell a message that
-# comes too late from one without a partner.
-_REMEMBERED = 1000
-# Messages of an input of which the latest tells how long its partners had to wait.
-_LATENESS_OF = 10
+# Stamps kept for each input, independently of the queue: they distinguish a message that arrives
+# after its partner was dropped from one that never had a partner.
+_STAMP_HISTORY = 1000
+# How many last messages of an input `too_late` looks at.
+_LATENESS_HISTORY = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,22 +25,23 @@ class _Entry:
     message: Any
 
 
-class _Input:
-    """What has arrived on one topic."""
+class _Queue:
+    """The messages that have arrived on one input."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.waiting: deque[_Entry] = deque()  # by stamp
-        self.recent_ns: deque[int] = deque(maxlen=_REMEMBERED)  # never falls
-        # messages of another input that came between a partner and this input's message
-        self.lateness: deque[int] = deque(maxlen=_LATENESS_OF)
-        self.step_ns: int | None = None  # smallest distance of consecutive stamps
-        self.behind = 0  # messages for which it may still be in the time before a jump back
+        self.recent_ns: deque[int] = deque(maxlen=_STAMP_HISTORY)  # never decreases
+        # for each message, how many messages of another input arrived after its partner there
+        self.lateness: deque[int] = deque(maxlen=_LATENESS_HISTORY)
+        self.period_ns: int | None = None  # smallest step between consecutive stamps
+        # another input has jumped back and this one has not: messages after which that is ignored
+        self.behind = 0
         self.ended = False
         self.expected = True
 
     def nearest(self, stamp_ns: int) -> _Entry | None:
-        """Return the waiting message nearest to a stamp, the latest arrival among equals."""
+        """Return the waiting message nearest to a stamp; of equal stamps, the last arrival."""
         stamp_of = attrgetter('stamp_ns')
         after = bisect_right(self.waiting, stamp_ns, key=stamp_of)
         before = self.waiting[after - 1] if after else None
@@ -51,44 +52,44 @@ class _Input:
             return before
         return self.waiting[bisect_right(self.waiting, later_ns, key=stamp_of) - 1]
 
-    def newer(self, stamp_ns: int, tolerance_ns: int) -> int:
-        """Count the messages that came after the partner of a stamp, 0 if it had none."""
+    def count_after_partner(self, stamp_ns: int, tolerance_ns: int) -> int:
+        """Count the messages that arrived after the partner of a stamp; 0 without a partner."""
         after = bisect_right(self.recent_ns, stamp_ns + tolerance_ns)
         if not after or self.recent_ns[after - 1] < stamp_ns - tolerance_ns:
             return 0
         return len(self.recent_ns) - after
 
     def is_settled(self, stamp_ns: int, gap_ns: int) -> bool:
-        """Tell whether no message nearer to a stamp than ``gap_ns`` can still arrive."""
+        """Return whether no message nearer to a stamp than ``gap_ns`` can still arrive."""
         if self.ended or gap_ns == 0 or (self.recent_ns and self.recent_ns[-1] >= stamp_ns):
             return True
-        return self.step_ns is not None and 2 * gap_ns <= self.step_ns
+        return self.period_ns is not None and 2 * gap_ns <= self.period_ns
 
 
 class Synchronizer:
     """Find sets of messages, one per input, whose stamps agree.
 
-    The first input leads: each of its messages is paired with the nearest of every other input,
-    as soon as no nearer one can come; what is older than its set is dropped. At most
-    ``queue_size`` messages per input wait. When stamps of an input go back (a bag that loops, a
-    simulation that starts again), what waits there is dropped, and an input that has not gone
-    back yet pairs with nothing until it does or ``queue_size`` of its messages have passed.
+    The first input leads: each of its messages is paired with the nearest one of every other
+    input, as soon as no nearer one can arrive; messages older than a set are dropped with it. At
+    most ``queue_size`` messages per input wait. When the stamps of an input jump back (a bag that
+    loops, a simulation that restarts), its waiting messages are dropped, and an input that has not
+    jumped yet pairs with nothing until it does or ``queue_size`` of its messages have passed.
 
-    Sets are returned, not passed to a callback: nothing of the caller's runs under the lock.
+    Sets are returned, not passed to a callback, so that no code of the caller runs under the lock.
 
     Parameters
     ----------
     names : sequence of str
-        Inputs; the first leads.
+        Names of the inputs; the first leads.
     queue_size : int
-        Most messages of an input that wait for their partners.
+        Largest number of messages per input that wait for their partners.
     tolerance_ns : int or None
         Largest difference of stamps within a set, nanoseconds; 0 = equal stamps, None = any.
 
     Attributes
     ----------
     dropped : Counter
-        Messages dropped by reason: without a partner (by input), or when the clock went back.
+        Number of messages dropped, by reason: without a partner (by input), or clock went back.
 
     """
 
@@ -98,73 +99,73 @@ class Synchronizer:
         self.dropped: Counter[str] = Counter()
         self._queue_size = queue_size
         self._tolerance_ns = tolerance_ns
-        self._inputs = {name: _Input(name) for name in names}
-        self._leader = self._inputs[names[0]]
+        self._queues = {name: _Queue(name) for name in names}
+        self._leader = self._queues[names[0]]
         self._lock = threading.Lock()
 
     def expect(self, name: str, expected: bool) -> None:
-        """Say whether sets wait for input ``name``; without it they hold None in its place."""
+        """Set whether sets wait for input ``name``; if not, they may hold None in its place."""
         with self._lock:
-            self._inputs[name].expected = expected
+            self._queues[name].expected = expected
 
     def add(self, name: str, stamp_ns: int, message: Any) -> list[tuple[Any, ...]]:
-        """Take a message and return the sets that it completes, in the order of ``names``."""
+        """Add a message and return the sets that it completes, each in the order of ``names``."""
         with self._lock:
-            self._arrive(self._inputs[name], _Entry(stamp_ns, message))
+            self._enqueue(self._queues[name], _Entry(stamp_ns, message))
             return self._take_sets()
 
     def finish(self) -> list[tuple[Any, ...]]:
-        """Return the sets that waited for a nearer message: none arrives any more."""
+        """End all inputs and return the sets that still waited for a nearer message."""
         with self._lock:
-            for one in self._inputs.values():
-                one.ended = True
+            for queue in self._queues.values():
+                queue.ended = True
             return self._take_sets()
 
     def clear(self) -> None:
-        """Forget what waits and what was seen, but not what was dropped."""
+        """Forget all messages and stamps; keep the counts of dropped messages."""
         with self._lock:
-            for one in self._inputs.values():
-                one.waiting.clear()
-                one.recent_ns.clear()
-                one.lateness.clear()
-                one.behind = 0
+            for queue in self._queues.values():
+                queue.waiting.clear()
+                queue.recent_ns.clear()
+                queue.lateness.clear()
+                queue.behind = 0
 
     def too_late(self) -> dict[str, int]:
-        """Return the inputs whose messages came after their partners had to be dropped.
+        """Return the inputs whose messages arrive after their partners have been dropped.
 
         Returns
         -------
         needed : dict of str to int
-            The least ``queue_size`` with which the last few messages of each such input would
-            have found their partners; at most 1000 can be told.
+            By input, the smallest ``queue_size`` with which its last messages would have found
+            their partners; at most 1000.
 
         """
         with self._lock:
             needed = {
-                one.name: 1 + max(one.lateness, default=0)
-                for one in self._inputs.values()
-                if one.expected
+                queue.name: 1 + max(queue.lateness, default=0)
+                for queue in self._queues.values()
+                if queue.expected
             }
         return {name: count for name, count in needed.items() if count > self._queue_size}
 
     def explain(self) -> tuple[str, float] | None:
-        """Say by how much stamps miss each other.
+        """Describe by how much the stamps miss each other.
 
         Returns
         -------
         text : str
             The smallest difference of each input's recent stamps from the leader's.
         needed_s : float
-            The tolerance that would let them match, s, rounded up to whole microseconds. None
-            instead of both if stamps agree or there are none.
+            The tolerance with which they would match, s, rounded up to whole microseconds.
+            Instead of both, None if the stamps agree or there are none.
 
         """
         with self._lock:
             limit_ns = float('inf') if self._tolerance_ns is None else self._tolerance_ns
             misses_ns = {
-                one.name: miss_ns
-                for one in self._inputs.values()
-                if (miss_ns := self._miss_ns(one)) is not None and abs(miss_ns) > limit_ns
+                queue.name: miss_ns
+                for queue in self._queues.values()
+                if (miss_ns := self._miss_ns(queue)) is not None and abs(miss_ns) > limit_ns
             }
         if not misses_ns:
             return None
@@ -177,80 +178,80 @@ class Synchronizer:
         return text, needed_us / 1e6
 
     def _take_sets(self) -> list[tuple[Any, ...]]:
-        """Remove complete sets, and what is older: its partners would have come before theirs."""
+        """Remove the complete sets and all older messages, whose partners can no longer arrive."""
         sets: list[tuple[Any, ...]] = []
-        if any(one.expected and not one.waiting for one in self._inputs.values()):
+        if any(queue.expected and not queue.waiting for queue in self._queues.values()):
             return sets
         for leading in list(self._leader.waiting):
             found = self._partners(leading)
             if found is not None:
                 sets.append(tuple(entry and entry.message for entry in found))
-                for one, entry in zip(self._inputs.values(), found, strict=True):
+                for queue, entry in zip(self._queues.values(), found, strict=True):
                     if entry is not None:
-                        self._remove(one, entry)
+                        self._take(queue, entry)
         return sets
 
-    def _remove(self, one: _Input, entry: _Entry) -> None:
-        while one.waiting.popleft() is not entry:
-            self.dropped[f'{one.name} without partner'] += 1
+    def _take(self, queue: _Queue, entry: _Entry) -> None:
+        while queue.waiting.popleft() is not entry:
+            self.dropped[f'{queue.name} without partner'] += 1
 
-    def _miss_ns(self, one: _Input) -> int | None:
+    def _miss_ns(self, queue: _Queue) -> int | None:
         """Return the smallest difference of an expected input's stamps from the leader's."""
         leading_ns = self._leader.recent_ns
-        if not leading_ns or not one.recent_ns or not one.expected:
+        if not leading_ns or not queue.recent_ns or not queue.expected:
             return None
         gaps_ns = []
-        for stamp_ns in islice(reversed(one.recent_ns), 2 * self._queue_size):
+        for stamp_ns in islice(reversed(queue.recent_ns), 2 * self._queue_size):
             after = bisect_right(leading_ns, stamp_ns)
             near_ns = [leading_ns[k] for k in (after - 1, after) if 0 <= k < len(leading_ns)]
             gaps_ns += [stamp_ns - leading for leading in near_ns]
         return min(gaps_ns, key=abs)
 
-    def _note_lateness(self, one: _Input, stamp_ns: int) -> None:
-        """Note how many messages came between the partner of a message and it."""
-        others = self._inputs.values() if one is self._leader else [self._leader]
+    def _note_lateness(self, queue: _Queue, stamp_ns: int) -> None:
+        """Note how many messages arrived between a message and its earlier partner."""
+        others = self._queues.values() if queue is self._leader else [self._leader]
         tolerance_ns = self._tolerance_ns or 0
-        if not one.behind:
-            newer = [
-                other.newer(stamp_ns, tolerance_ns)
+        if not queue.behind:
+            counts = [
+                other.count_after_partner(stamp_ns, tolerance_ns)
                 for other in others
-                if other is not one and not other.behind
+                if other is not queue and not other.behind
             ]
-            one.lateness.append(max(newer, default=0))
+            queue.lateness.append(max(counts, default=0))
 
-    def _arrive(self, one: _Input, entry: _Entry) -> None:
-        step_ns = entry.stamp_ns - one.recent_ns[-1] if one.recent_ns else 0
+    def _enqueue(self, queue: _Queue, entry: _Entry) -> None:
+        step_ns = entry.stamp_ns - queue.recent_ns[-1] if queue.recent_ns else 0
         if step_ns < 0:
-            self._jump_back(one)
+            self._jump_back(queue)
         else:
-            one.behind = max(0, one.behind - 1)
+            queue.behind = max(0, queue.behind - 1)
         if step_ns > 0:
-            one.step_ns = min(one.step_ns or step_ns, step_ns)
-        one.recent_ns.append(entry.stamp_ns)
-        self._note_lateness(one, entry.stamp_ns)
-        one.waiting.append(entry)
-        if len(one.waiting) > self._queue_size:
-            one.waiting.popleft()
-            self.dropped[f'{one.name} without partner'] += 1
+            queue.period_ns = min(queue.period_ns or step_ns, step_ns)
+        queue.recent_ns.append(entry.stamp_ns)
+        self._note_lateness(queue, entry.stamp_ns)
+        queue.waiting.append(entry)
+        if len(queue.waiting) > self._queue_size:
+            queue.waiting.popleft()
+            self.dropped[f'{queue.name} without partner'] += 1
 
-    def _jump_back(self, jumped: _Input) -> None:
+    def _jump_back(self, jumped: _Queue) -> None:
         self.dropped['clock went back'] += len(jumped.waiting)
         jumped.waiting.clear()
         jumped.recent_ns.clear()
         jumped.lateness.clear()
         if jumped.behind:
-            jumped.behind = 0  # it follows a jump of another input
+            jumped.behind = 0  # it follows another input's jump
             return
-        for one in self._inputs.values():
-            if one is not jumped and one.recent_ns:
-                one.behind = self._queue_size
+        for queue in self._queues.values():
+            if queue is not jumped and queue.recent_ns:
+                queue.behind = self._queue_size
 
     def _partners(self, leading: _Entry) -> list[_Entry | None] | None:
-        """Return the set that ``leading`` begins, or None while it is incomplete."""
+        """Return the set of a message of the leader, or None while it is incomplete."""
         found: list[_Entry | None] = []
-        for one in self._inputs.values():
-            entry = None if one.behind else self._partner(one, leading)
-            if entry is None and one.expected:
+        for queue in self._queues.values():
+            entry = None if queue.behind else self._partner(queue, leading)
+            if entry is None and queue.expected:
                 return None
             found.append(entry)
         stamps = [entry.stamp_ns for entry in found if entry is not None]
@@ -258,17 +259,17 @@ class Synchronizer:
             return None
         return found
 
-    def _partner(self, one: _Input, leading: _Entry) -> _Entry | None:
-        """Return the message of an input that is nearest, and to which ``leading`` is nearest."""
-        if one is self._leader:
+    def _partner(self, queue: _Queue, leading: _Entry) -> _Entry | None:
+        """Return the message of an input for which it and ``leading`` are mutually nearest."""
+        if queue is self._leader:
             return leading
-        entry = one.nearest(leading.stamp_ns)
+        entry = queue.nearest(leading.stamp_ns)
         if entry is None or self._leader.nearest(entry.stamp_ns) is not leading:
             return None
         gap_ns = abs(entry.stamp_ns - leading.stamp_ns)
         if self._tolerance_ns is not None and gap_ns > self._tolerance_ns:
             return None
-        settled = one.is_settled(leading.stamp_ns, gap_ns) and self._leader.is_settled(
+        settled = queue.is_settled(leading.stamp_ns, gap_ns) and self._leader.is_settled(
             entry.stamp_ns, gap_ns
         )
         return entry if settled else None

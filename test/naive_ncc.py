@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious twin of the matcher's scores and winners."""
+"""Slow, obvious twin of the NCC scores and of winner takes all."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _correlation(a: Array, b: Array, texture_threshold: float) -> float:
 
 
 def winners(scores: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the place of the best score of each left pixel, and of each right pixel; -1 = none.
+    """Return the index of the best score of each left pixel, and of each right pixel; -1 = none.
 
     A right pixel x' competes for the left pixels x' + k (for a search that starts at 0).
     """

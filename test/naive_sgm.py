@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious twin of semi-global matching's costs, paths and choice."""
+"""Slow, obvious twin of semi-global matching: its costs, paths and selection."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ WORST, UNKNOWN = 252, 160
 def costs(
     left: npt.ArrayLike, right: npt.ArrayLike, size: int, first: int, count: int, noise: float
 ) -> tuple[Array, list[npt.NDArray[np.bool_]]]:
-    """Return costs before rounding (H, W, D), and which pixels of either picture have any (H, W).
+    """Return costs before rounding (H, W, D), and which pixels of either image have any (H, W).
 
-    Two windows share the say: the one of ``size - 2`` where its variance v exceeds the noise's n
-    (v / (v + n)), the one of ``size`` for the rest.
+    Two windows contribute: that of ``size - 2`` with the weight v / (v + n) of its variance v and
+    the variance n of the noise, that of ``size`` with the rest.
     """
     radius = size // 2
     left, right = (np.pad(np.asarray(i, float), radius, mode='reflect') for i in (left, right))
@@ -49,7 +49,7 @@ def _scored(padded: Array, size: int) -> npt.NDArray[np.bool_]:
 def aggregate(
     costs: npt.NDArray[np.int64], levels: npt.NDArray[np.int64], P1: int, P2: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """Return the sums over three paths, 255 at most; ``P2`` (256) by the step of grey level."""
+    """Return the sums over three paths, 255 at most; ``P2`` (256) by the difference of levels."""
     ways = ((0, 1), (0, -1), (1, 0))
     return np.minimum(sum(_along(costs, levels, P1, P2, dy, dx) for dy, dx in ways), 255)
 
@@ -86,8 +86,8 @@ def choose(
 ) -> Array:
     """Return each left pixel's best disparity if the right one's agrees; NaN = none.
 
-    Nor is there one at the limits of the range, or where the pixel's own NCC is not above 0. A
-    negative ``max_difference`` lets any agree, and all else.
+    There is none at the limits of the range, nor where the pixel's own NCC is not above 0. A
+    negative ``max_difference`` turns all of this off.
     """
     height, width, count = total.shape
     best = total.argmin(axis=2)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vectors of 32 numbers for kernels whose inner loops LLVM does not vectorise well by itself.
+"""Vectors of 32 numbers, for kernels whose inner loops LLVM does not vectorise well by itself.
 
-A short inner loop over slices costs more in bounds and aliasing checks than in arithmetic. These
-operations say directly what is wanted; LLVM maps a vector onto the registers that the machine
-has (one of 32 bytes or two of 16 for ``uint8``). With ``NUMBA_DISABLE_JIT=1`` a vector is a NumPy
-array and the same kernels run as plain Python.
+In a short inner loop over slices, bounds and aliasing checks cost more than the arithmetic. With
+these operations a kernel states the vectors itself; LLVM maps each onto the registers of the
+machine (one of 32 bytes or two of 16 for ``uint8``). With ``NUMBA_DISABLE_JIT=1`` a vector is a
+NumPy array and the same kernels run as plain Python.
 
-``a + b``, ``a - b``, ``a * b`` work on vectors of one type, ``a / b`` on real ones; integers wrap
+``a + b``, ``a - b`` and ``a * b`` take vectors of one type, ``a / b`` real ones; integers wrap
 around. `vectors` declares the type, `memory` loads, stores and rearranges, `arithmetic` computes.
 """
 

@@ -50,8 +50,8 @@ def _plain_add_saturated(a: Any, b: Any) -> Any:
     return np.minimum(a.astype(np.int64) + b, np.iinfo(a.dtype).max).astype(a.dtype)
 
 
-# Element-wise minimum and maximum (of NaN and a number the number), and the sum of unsigned
-# integers that stops at the largest.
+# Element-wise minimum and maximum (of NaN and a number: the number), and the sum of integers,
+# saturated at the largest one of the type.
 smaller = operation(np.fmin)(_pairwise('smin', 'umin', 'minnum'))
 larger = operation(np.fmax)(_pairwise('smax', 'umax', 'maxnum'))
 add_saturated = operation(_plain_add_saturated)(_pairwise('sadd.sat', 'uadd.sat', ''))
@@ -59,7 +59,7 @@ add_saturated = operation(_plain_add_saturated)(_pairwise('sadd.sat', 'uadd.sat'
 
 @operation(lambda value, limit, low, high: np.where(value <= limit, low, high))
 def at_most(_context: Any, value: Any, limit: Any, low: Any, high: Any) -> Any:
-    """Return the number of ``low`` where ``value <= limit``, else of ``high``; NaN is not."""
+    """Return ``low`` where ``value <= limit``, else ``high``, also where either is NaN."""
     if not (isinstance(value, VectorType) and value == limit and low == high):
         return None
 
@@ -85,19 +85,19 @@ def _reduction(signed: str, unsigned: str) -> Any:
     return generator
 
 
-# Smallest and largest number of a vector of integers.
+# The smallest and the largest number of a vector of integers.
 smallest = operation(np.min)(_reduction('smin', 'umin'))
 largest = operation(np.max)(_reduction('smax', 'umax'))
 
 
 def _plain_first_equal(vector: Any, number: Any) -> int:
-    places = np.flatnonzero(vector == number)
-    return int(places[0]) if places.size else LANES
+    lanes = np.flatnonzero(vector == number)
+    return int(lanes[0]) if lanes.size else LANES
 
 
 @operation(_plain_first_equal)
 def first_equal(_context: Any, vector: Any, number: Any) -> Any:
-    """Return the first place at which ``vector`` holds ``number``; `LANES` if there is none."""
+    """Return the first lane of ``vector`` that holds ``number``; `LANES` if none does."""
     if not (isinstance(vector, VectorType) and vector.dtype == number):
         return None
 
@@ -105,8 +105,8 @@ def first_equal(_context: Any, vector: Any, number: Any) -> Any:
         numbers = emit_splat(builder, arguments[0].type, arguments[1])
         equal = builder.icmp_unsigned('==', arguments[0], numbers)
         mask = builder.bitcast(equal, ir.IntType(LANES))
-        place = builder.cttz(mask, ir.Constant(ir.IntType(1), 0))
-        return builder.zext(place, context.get_value_type(signature.return_type))
+        lane = builder.cttz(mask, ir.Constant(ir.IntType(1), 0))
+        return builder.zext(lane, context.get_value_type(signature.return_type))
 
     return types.intp(vector, number), generate
 
@@ -127,13 +127,13 @@ def _shift(direction: str) -> Any:
     return generator
 
 
-# Integers shifted by a literal number of bits; to the right zeros enter.
+# Integers shifted by a literal number of bits; the free bits are zero.
 shift_left = operation(lambda vector, bits: vector << vector.dtype.type(bits))(_shift('shl'))
 shift_right = operation(lambda vector, bits: vector >> vector.dtype.type(bits))(_shift('lshr'))
 
 
 def _conversion(dtype: Any) -> Any:
-    """Return a code generator that converts to ``dtype``: truncates reals, wraps integers."""
+    """Return a code generator that converts to ``dtype``; reals are truncated, integers wrap."""
 
     def generator(_context: Any, vector: Any) -> Any:
         if not isinstance(vector, VectorType):
@@ -162,7 +162,7 @@ to_int32 = operation(lambda vector: vector.astype(np.int32))(_conversion(types.i
 
 
 def _operator(operation: Any, integer: str, real: str) -> None:
-    """Let ``operation`` work on two vectors of one type."""
+    """Implement an operator for two vectors of one type."""
 
     def operate(_context: Any, a: Any, b: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -177,7 +177,7 @@ def _operator(operation: Any, integer: str, real: str) -> None:
     @overload(operation, strict=False)
     def implement(a: Any, b: Any) -> Any:
         if isinstance(a, VectorType) and a == b:
-            return lambda a, b: emit(a, b)  # noqa: PLW0108 (numba compares the arguments' names)
+            return lambda a, b: emit(a, b)  # noqa: PLW0108 (numba checks the arguments' names)
         return None
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vectors from and to rows of memory, and numbers of a vector moved about."""
+"""Load and store vectors, and rearrange their numbers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def store(_context: Any, array: Any, _index: Any, vector: Any) -> Any:
 
 @operation(lambda value: np.full(LANES, value))
 def splat(_context: Any, value: Any) -> Any:
-    """Return the vector whose numbers all are ``value``, of that scalar's type."""
+    """Return a vector of copies of the scalar ``value``."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return emit_splat(builder, context.get_value_type(signature.return_type), arguments[0])
@@ -72,7 +72,7 @@ def splat(_context: Any, value: Any) -> Any:
 
 
 def _every_second(first: int) -> Callable[..., Any]:
-    """Return a code generator for the vector ``array[index + first :: 2]``."""
+    """Return a code generator for the vector ``array[index + first : ... : 2]``."""
 
     def generator(_context: Any, array: Any, index: Any) -> Any:
         if not (_is_row(array) and isinstance(index, types.Integer)):
@@ -81,8 +81,8 @@ def _every_second(first: int) -> Callable[..., Any]:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             halves = []
             for offset in (0, LANES):
-                place = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
-                pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
+                start = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
+                pointer = _pointer(context, builder, signature.args[0], arguments[0], start)
                 align = signature.args[0].dtype.bitwidth // 8
                 halves.append(builder.load(pointer, align=align))
             return emit_shuffle(builder, halves, [2 * i + first for i in range(LANES)])
@@ -92,7 +92,7 @@ def _every_second(first: int) -> Callable[..., Any]:
     return generator
 
 
-# Every second of 2 * LANES numbers from ``index``, the first or the second of each two.
+# The first or the second of each pair of the 2 * LANES numbers from ``index`` on.
 load_even = operation(lambda array, index: array[index : index + 2 * LANES : 2].copy())(
     _every_second(0)
 )
@@ -109,7 +109,7 @@ def _plain_store_pairs(array: Any, index: int, even: Any, odd: Any) -> None:
 
 @operation(_plain_store_pairs)
 def store_pairs(_context: Any, array: Any, _index: Any, even: Any, odd: Any) -> Any:
-    """Write two vectors by turns to ``array[index : index + 2 * LANES]``."""
+    """Write two vectors, interleaved, to ``array[index : index + 2 * LANES]``."""
     if not (_is_row(array) and isinstance(even, VectorType) and even == odd):
         return None
 
@@ -120,8 +120,8 @@ def store_pairs(_context: Any, array: Any, _index: Any, even: Any, odd: Any) -> 
             vector = emit_shuffle(
                 builder, arguments[2:], [lane for pair in pairs for lane in pair]
             )
-            place = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
-            pointer = _pointer(context, builder, signature.args[0], arguments[0], place)
+            start = builder.add(arguments[1], ir.Constant(arguments[1].type, offset))
+            pointer = _pointer(context, builder, signature.args[0], arguments[0], start)
             builder.store(vector, pointer, align=signature.args[0].dtype.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -162,7 +162,7 @@ def _element(lane: int) -> Callable[..., Any]:
     return generator
 
 
-# A vector's first and last number.
+# The first and the last number of a vector.
 first_of = operation(lambda vector: vector[0])(_element(0))
 
 last_of = operation(lambda vector: vector[-1])(_element(LANES - 1))

@@ -33,7 +33,7 @@ class _VectorModel(models.PrimitiveModel):
 
 
 def operation(plain: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Replace an operation's code generator by ``plain`` where nothing is compiled."""
+    """Return a decorator that compiles a code generator, or with JIT disabled takes ``plain``."""
     return lambda generator: plain if config.DISABLE_JIT else intrinsic(generator)  # type: ignore[attr-defined]
 
 
@@ -45,5 +45,5 @@ def emit_splat(builder: Any, vector: Any, number: Any) -> Any:
 
 
 def emit_shuffle(builder: Any, pair: Any, lanes: list[int]) -> Any:
-    """Return the vector of the given numbers of two vectors, counted through."""
+    """Return a vector of the given lanes of a pair of vectors, counted through both."""
     return builder.shuffle_vector(*pair, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))

@@ -19,7 +19,7 @@ from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
-from binocular_recon.stereo.matching.matcher import Match, disparity_step_px, match
+from binocular_recon.stereo.matching import Match, disparity_step_px, match
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.search_range import check_order, range_of_depths

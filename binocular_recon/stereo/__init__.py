@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a stereo pair to a point cloud: rectify, match, filter, triangulate (eq. 10-18).
+"""From an image pair to a point cloud: rectify, match, filter, triangulate (eq. 10-18).
 
-`pipeline` runs the chain and reads like the paper. Each stage has a room or a module:
-`rectification` maps raw images onto common rows, `matching` measures disparities, `holes`
-completes what was not measured, `filtering` denoises, `triangulation` makes metric points;
-`confidence` says how a match and its standard deviation are written as one number. Exports the
-chain and its stages.
+`pipeline` runs the chain, one line per step of the paper. Each stage has a subpackage or a module:
+`rectification` maps raw images onto common rows, `matching` measures disparities, `holes` fills
+pixels without a match, `filtering` denoises, `triangulation` computes metric points; `confidence`
+converts the standard deviation of a match to a number in [0, 1] and back. Exports the chain and
+its stages.
 """
 
 from typing import TYPE_CHECKING
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
         Filtered,
         filter_disparity,
     )
-    from binocular_recon.stereo.matching.matcher import Match, match
+    from binocular_recon.stereo.matching.matcher import Match
+    from binocular_recon.stereo.matching.registry import match, register_matcher
     from binocular_recon.stereo.pipeline import Chain, Reconstruction, estimate_disparity
     from binocular_recon.stereo.rectification import Rectifier
     from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -36,6 +37,7 @@ __all__ = [
     'estimate_disparity',
     'filter_disparity',
     'match',
+    'register_matcher',
     'sigma_from_confidence',
     'triangulate',
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernel of triangulation: disparities to points and their standard deviation (eq. 16-18)."""
+"""Kernel of triangulation: from disparities to points and their sigma (eq. 16-18)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ def triangulate_rows(
     start: int,
     stop: int,
 ) -> None:
-    """Write the points of rows ``start`` to ``stop`` that ``validity`` and the limits keep."""
+    """Write the points of rows ``start`` to ``stop``; NaN where a pixel is not kept.
+
+    ``kept`` has the bits of `Validity` that are kept; ``sigma_limit`` is the largest sigma in
+    metres and as a share of the depth.
+    """
     near, far = depth_range_m
     largest_m, largest_share = sigma_limit
     fx, cx, tx = projection[0, 0], projection[0, 2], projection[0, 3]
@@ -37,7 +41,7 @@ def triangulate_rows(
             z = focal_baseline / (disparity_px[row, column] - offset_px)  # eq. 18
             sigma_z = z * z / focal_baseline * sigma_px[row, column]
             known = sigma_z <= largest_m and sigma_z < largest_share * z
-            # written so that NaN, infinity and what lies behind the rig fail
+            # False for NaN, at infinity and behind the rig
             if validity[row, column] & kept and known and z > 0 and near <= z <= far:
                 points_xyz[row, column, 0] = ((column - cx) * z - tx) / fx
                 points_xyz[row, column, 1] = y_over_z * z

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bits that say where a disparity comes from, and why a pixel has no match."""
+"""Bits of a validity image; `validity.Validity` describes them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# As `validity.Validity` names them; here so that kernels that contain them are compiled again
-# when they change.
+# In a kernel module, so that kernels that contain these numbers are compiled again if they change.
 MEASURED = np.uint8(1)
 FILLED = np.uint8(2)
 EXTRAPOLATED = np.uint8(4)

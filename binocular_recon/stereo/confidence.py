@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence of a match: its standard deviation, mapped to [0, 1]."""
+"""Confidence of a match: the standard deviation of its disparity, mapped to [0, 1]."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from binocular_recon.images import FloatImage
 
-# The standard deviation whose confidence is one half.
+# The standard deviation that has a confidence of one half.
 SIGMA_UNIT_PX = 0.25
 
 

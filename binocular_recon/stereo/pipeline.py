@@ -12,7 +12,7 @@ from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
-from binocular_recon.stereo.matching.matcher import Match, match
+from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange, check_order, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -24,12 +24,12 @@ CHECK_EVERY = 10
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """What the chain makes of one picture pair.
+    """Results of the chain for one image pair.
 
     Attributes
     ----------
     left, right : (H, W) or (H, W, C)
-        Rectified pictures, dtype of the input.
+        Rectified images, dtype of the input.
     matched : Match
         Disparity and confidence of each pixel that could be matched.
     filtered : Filtered
@@ -37,7 +37,7 @@ class Reconstruction:
     cloud : Cloud
         Metric points in the left rectified frame.
     range : RangeChoice
-        The disparities that were searched, and what is wrong with them if they were given.
+        The disparities that were searched, and the warning if a given range is too small.
 
     """
 
@@ -50,23 +50,23 @@ class Reconstruction:
 
 
 class Chain:
-    """Reconstruct picture pairs of one rig, in the order of their stamps if ``wls_video`` is on.
+    """Reconstruct image pairs of one rig; with ``wls_video`` call it in the order of the stamps.
 
     Parameters
     ----------
     rig : StereoRig
-        Calibration of the incoming pictures.
+        Calibration of the input images.
     config : ChainConfig
         Options of every stage.
     rectify : bool
-        False if the pictures are rectified already.
+        False if the images are rectified already.
     alpha : float
         Passed to `Rectifier`.
 
     Attributes
     ----------
     rig : StereoRig
-        Rectified rig: the frame of the results.
+        Rectified rig; results are in the frame of its left camera.
 
     """
 
@@ -80,12 +80,12 @@ class Chain:
         self.rig = self._rectifier.rig if self._rectifier else rig
 
     def __call__(self, left: Image, right: Image) -> Reconstruction:
-        """Reconstruct one pair.
+        """Reconstruct one image pair.
 
         Parameters
         ----------
         left, right : (H, W) or (H, W, C), uint8, uint16 or float32
-            Pictures of the calibrated size; colour as BGR.
+            Images of the calibrated size; colour as BGR.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Chain:
         return Reconstruction(left, right, found.matched, filtered, cloud, found.range)
 
     def search(self, disparities: SearchRange) -> None:
-        """Search these disparities from now on, whatever the options said."""
+        """Search these disparities from now on, instead of those in the options."""
         match_config = disparities.applied_to(self.config.match)
         self.config = replace(self.config, match=match_config)
 
@@ -142,7 +142,7 @@ def warm_up(config: ChainConfig) -> None:
 
 @dataclass(frozen=True, eq=False)
 class DisparityEstimate:
-    """What matching and filtering make of a rectified pair.
+    """Results of matching and filtering for a rectified pair.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class DisparityEstimate:
     filtered : Filtered
         Dense disparity with its standard deviation and validity.
     range : RangeChoice
-        The disparities that were searched, and what is wrong with them if they were given.
+        The disparities that were searched, and the warning if a given range is too small.
 
     """
 
@@ -169,20 +169,20 @@ def estimate_disparity(
     infinity_px: float | None = None,
     check_range: bool = True,
 ) -> DisparityEstimate:
-    """Match a rectified pair and complete its disparity.
+    """Match a rectified pair, and filter its disparities into a dense map.
 
     Parameters
     ----------
     left, right : (H, W) or (H, W, C), uint8, uint16 or float32
         Rectified images of equal size; colour as BGR.
     config : ChainConfig
-        Options of matching and filter.
+        Options of matching and of the filter.
     wls : DisparityFilter, optional
-        The filter, if frame follows frame; its options win.
+        The filter of a stream; its own options apply, not those in ``config``.
     infinity_px : float, optional
-        Disparity of a point at infinity, where the rig is known.
+        Disparity of a point at infinity, if the rig is known.
     check_range : bool
-        Whether to look if a given search range is large enough.
+        Whether to check that a given search range is large enough.
 
     Raises
     ------

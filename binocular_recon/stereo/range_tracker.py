@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search range of frame after frame, for live cameras."""
+"""The search range of a stream of frames from live cameras."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.search_range import SearchRange, choose_range
 
-# The range is examined on each of the first frames and then once in a while; it shrinks if so many
-# examinations in a row asked for less than this share of it.
+# The range is examined on each of the first frames, then at this interval. It shrinks when this
+# many examinations in a row have found a range smaller than this share of it.
 FIRST_FRAMES, EXAMINE_EVERY_S = 3, 2.0
 SHRINK_AFTER, SHRINK_SHARE = 5, 0.7
 
 
 class Tracked(NamedTuple):
-    """The range to search in a frame, whether it is new, and a warning if a given one is bad."""
+    """The range to search in a frame, whether it has changed, and a warning if it is too small."""
 
     search: SearchRange
     changed: bool
@@ -27,11 +27,11 @@ class Tracked(NamedTuple):
 
 
 class RangeTracker:
-    """The search range of frame after frame: found in the first frames, examined again later.
+    """The search range of a stream: found in the first frames, examined again at intervals.
 
-    It grows as soon as something lies outside, and shrinks only after several examinations in a
-    row have asked for much less: a car that passes must not change the range twice. Any thread may
-    call.
+    It grows at once when a surface is outside, and shrinks only when several examinations in a row
+    have found a much smaller range, so that a passing car does not change it back and forth.
+    It may be used from several threads.
     """
 
     def __init__(self) -> None:
@@ -58,11 +58,11 @@ class RangeTracker:
         left, right : (H, W) float32
             Rectified grey images; NaN = no data.
         config : MatchConfig
-            The range, or ``disparity_range`` 0.
+            The range, or ``disparity_range`` 0 to find it.
         infinity_px : float
             Disparity of a point at infinity.
         now_s : float
-            Time of any clock that runs on, s.
+            Time of a monotonic clock, s.
 
         """
         with self._lock:

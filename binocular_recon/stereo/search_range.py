@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search range: found from the images themselves, and checked where it is given.
+"""The search range: found from the images, or checked if it is given.
 
-A range that is too small gives wrong depth, not less of it: what lies outside is filled from its
-surroundings. So the pair is matched once more at low resolution over every disparity that the
-image allows, which costs some per cent of a match at full resolution.
+With a range that is too small, depth is wrong and not only missing, because surfaces outside the
+range are filled from their surroundings. The pair is therefore matched at low resolution over all
+disparities that the image allows, which takes a few per cent of the time of the match itself.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ConfigError, ImageError
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.matching.half_resolution import halve
-from binocular_recon.stereo.matching.matcher import match
 
-# What the options allow.
+# Limits of the options.
 FARTHEST_START, MOST_DISPARITIES = 2048, 4096
 # Images are halved until they are at most this wide.
 COARSE_WIDTH_PX = 480
-# Shares of the image's width that are searched, behind infinity and in front.
+# Searched at low resolution beyond infinity and in front of it, as shares of the image width.
 BEHIND, IN_FRONT = 0.25, 0.75
-# The farthest and the nearest share of all pixels that are not trusted. Few wrong matches survive
-# the checks; behind everything they cost time at every pixel, in front they cover a thin object.
+# The farthest and the nearest matches, as shares of all pixels, are ignored because they may be
+# wrong; fewer of the nearest, because a thin object has few pixels.
 FAR_SHARE, NEAR_SHARE = 0.005, 0.0005
-# The range is wider than what was found by this share of it on either side: low resolution loses
-# what is thin or covers few pixels.
+# The range is widened by this share of it on either side: low resolution misses small objects.
 MARGIN = 0.2
-# With fewer matches than this share of the image the low resolution says nothing.
+# With fewer matches at low resolution, as a share of the image, no range can be found.
 LEAST_MATCHED = 0.03
-# A range is too small if this share of the matches at low resolution lies outside.
+# A range is too small if this share of the matches at low resolution is outside.
 OUTSIDE_SHARE = 0.005
-# Images are exchanged if so many pixels match the other way round, and half as many as given.
+# Left and right are exchanged if this share of the pixels matches the other way round, and fewer
+# than half as many match as given.
 EXCHANGED_SHARE = 0.3
 # Connected regions of fewer pixels are dropped at low resolution.
 _SPECKLES = 60
@@ -49,9 +49,9 @@ class SearchRange(NamedTuple):
     Attributes
     ----------
     min_disparity : int
-        The smallest, px.
+        The smallest disparity, px.
     disparity_range : int
-        Their number.
+        Number of disparities.
 
     """
 
@@ -69,7 +69,7 @@ class SearchRange(NamedTuple):
         return float(self.min_disparity), float(self.last)
 
     def depths_m(self, rig: StereoRig) -> tuple[float, float]:
-        """Return the nearest and the farthest depth that these disparities mean, m."""
+        """Return the nearest and the farthest depth of these disparities, m."""
         near, far = (
             rig.focal_px * rig.baseline_m / shift if shift > 0 else math.inf
             for shift in (limit - rig.disparity_offset_px for limit in (self.last, self[0]))
@@ -88,9 +88,9 @@ class RangeChoice(NamedTuple):
     ----------
     search : SearchRange
     warning : str
-        What is wrong with a given range, and the range to set; else empty.
+        Why a given range is too small, and the range to set; else empty.
     outside_share : float
-        Share of the matches at low resolution that lie outside of a range with a warning.
+        Share of the matches at low resolution that are outside a range with a warning.
 
     """
 
@@ -100,7 +100,7 @@ class RangeChoice(NamedTuple):
 
 
 def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
-    """Return the disparities of everything between two depths.
+    """Return the disparities of all surfaces between two depths.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
     Raises
     ------
     ConfigError
-        If the depths are not in order, or need more disparities than can be searched.
+        If the depths are not in order, or have more disparities than can be searched.
 
     """
     if not 0 < near_m < far_m:
@@ -122,8 +122,8 @@ def range_of_depths(near_m: float, far_m: float, rig: StereoRig) -> SearchRange:
     last = math.ceil(rig.disparity_offset_px + reach / near_m) + 1
     if last - first + 1 > MOST_DISPARITIES or abs(first) > FARTHEST_START:
         raise ConfigError(
-            f'{near_m:g} to {far_m:g} m are disparities of {first} to {last} px with this rig, and'
-            f' at most {MOST_DISPARITIES} can be searched; raise near'
+            f'{near_m:g} to {far_m:g} m are disparities of {first} to {last} px with this rig;'
+            f' at most {MOST_DISPARITIES} can be searched, so raise near'
         )
     return SearchRange(first, last - first + 1)
 
@@ -160,7 +160,7 @@ class Overview(NamedTuple):
         return below / count, above / count
 
     def limits_px(self) -> tuple[float, float]:
-        """Return the farthest and the nearest disparity that can be trusted, px."""
+        """Return the farthest and the nearest reliable disparity, px."""
         count = self.disparities_px.size
         low = min(count - 1, int(FAR_SHARE * self.pixels))
         high = max(0, count - 1 - int(NEAR_SHARE * self.pixels))
@@ -170,17 +170,17 @@ class Overview(NamedTuple):
 def overview(
     left: FloatImage, right: FloatImage, config: MatchConfig, infinity_px: float | None = None
 ) -> Overview:
-    """Match a pair at low resolution over every disparity that its width allows.
+    """Match a pair at low resolution over all disparities that its width allows.
 
     Parameters
     ----------
     left, right : (H, W) float32
         Rectified grey images; NaN = no data.
     config : MatchConfig
-        Its texture threshold is used.
+        Only its texture threshold is used.
     infinity_px : float, optional
-        Disparity of a point at infinity, ``cx_left - cx_right`` of the rectified cameras; nothing
-        lies beyond. Without it a quarter of the width behind zero is searched too.
+        Disparity of a point at infinity, ``cx_left - cx_right`` of the rectified cameras: the
+        smallest possible. If unknown, a quarter of the width below zero is searched too.
 
     """
     step = 1
@@ -204,14 +204,14 @@ def overview(
 def find_range(seen: Overview, width: int, infinity_px: float | None = None) -> SearchRange:
     """Return the range to search in images ``width`` px wide, from an overview of the pair.
 
-    Where low resolution matches next to nothing, half of the width from infinity on.
+    With too few matches at low resolution, it is half of the width from infinity on.
     """
     far = 0.0 if infinity_px is None else infinity_px
     if seen.matched_share < LEAST_MATCHED:
         return _limited(math.floor(far), math.ceil(far + width / 2))
     low, high = seen.limits_px()
     margin = MARGIN * (high - low) + 2 * seen.step_px
-    # infinity is always in sight of somebody: beyond the last match, in the sky, through a door
+    # always from infinity on: sky and distant background often have no match
     low = min(low - margin, 0.0) if infinity_px is None else infinity_px - 1
     return _limited(math.floor(low), math.ceil(high + margin))
 
@@ -224,14 +224,14 @@ def choose_range(
     *,
     check: bool = True,
 ) -> RangeChoice:
-    """Choose the range to search in a pair; a given one is kept, and checked.
+    """Choose the range to search in a pair; a given range is only checked.
 
     Parameters
     ----------
     left, right : (H, W) float32
         Rectified grey images; NaN = no data.
     config : MatchConfig
-        The range, or ``disparity_range`` 0: it is found.
+        The range, or ``disparity_range`` 0 to find it.
     infinity_px : float, optional
         As for `overview`.
     check : bool
@@ -245,7 +245,7 @@ def choose_range(
     if not config.finds_range:
         return RangeChoice(given, *_fault(seen, config, left.shape[1], infinity_px))
     found = find_range(seen, left.shape[1], infinity_px)
-    if config.min_disparity:  # set: it stays
+    if config.min_disparity:  # set explicitly
         found = _limited(config.min_disparity, max(found.last, config.min_disparity + 15))
     return RangeChoice(found)
 
@@ -253,7 +253,7 @@ def choose_range(
 def _fault(
     seen: Overview, config: MatchConfig, width: int, infinity_px: float | None = None
 ) -> tuple[str, float]:
-    """Return what is wrong with a range that is too small, and the share of matches outside."""
+    """Return why a range is too small ('' if it is not), and the share of matches outside."""
     first, last = config.limits_px
     below, above = seen.outside(first, last)
     if seen.matched_share < LEAST_MATCHED or max(below, above) < OUTSIDE_SHARE:
@@ -261,14 +261,14 @@ def _fault(
     better = find_range(seen, width, infinity_px)
     low, high = min(better.min_disparity, int(first)), max(better.last, int(last))
     sides = [
-        f'{share:.1%} of the matches lie {side}'
+        f'{share:.1%} of the matches are {side}'
         for share, side in ((above, f'above {last:g} px (nearer)'), (below, f'below {first:g} px'))
         if share >= OUTSIDE_SHARE
     ]
     text = (
         f'the search range {first:g}..{last:g} px is too small: {" and ".join(sides)}; set'
-        f' min_disparity {low} and disparity_range {high - low + 1}, or disparity_range 0 to have'
-        ' it found'
+        f' min_disparity {low} and disparity_range {high - low + 1}, or disparity_range 0 to find'
+        ' the range automatically'
     )
     return text, below + above
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangulation: disparities become metric points with an uncertainty (eq. 16-18)."""
+"""Triangulation: from disparities to metric points and their standard deviation (eq. 16-18)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Cloud:
 
     @property
     def depth_m(self) -> FloatImage:
-        """Depth of each pixel, (H, W) float32, metres; NaN = none."""
+        """Depth of each pixel, (H, W) float32, metres; NaN = no point."""
         return self.points_xyz[..., 2]
 
 
@@ -54,35 +54,37 @@ def triangulate(
     sigma_px : (H, W) float32
         One standard deviation of the disparity.
     validity : (H, W) uint8
-        `Validity` of the disparity: extrapolated pixels are no points.
+        `Validity` of the disparity; extrapolated pixels become no points.
     rig : StereoRig
         Rectified rig.
     config : CloudConfig
-        Which points are kept.
+        Limits of the points to keep.
 
     Returns
     -------
     Cloud
-        Points; none where there is no disparity, at or behind infinity, out of the depth range,
-        or where the standard deviation exceeds ``config.max_sigma`` or a third of the depth.
+        NaN where there is no disparity, where it is at or beyond infinity, outside the depth
+        range, and where the standard deviation exceeds ``config.max_sigma`` or a third of the
+        depth.
 
     Raises
     ------
     ImageError
-        If the maps differ in size from each other or from the rig's pictures.
+        If the maps differ in size from each other or from the images of the rig.
 
     Notes
     -----
-    Eq. 16-18 of the paper with the principal points of the two cameras kept apart: the disparity
-    of a point at infinity is ``o = cx_left - cx_right``, so ``z = f B / (d - o)``. To first order
+    Eq. 16-18 of the paper, but the two cameras may have different principal points: the disparity
+    of a point at infinity is ``o = cx_left - cx_right``, so ``z = f B / (d - o)``. To first order,
     ``sigma_z = z^2 / (f B) sigma_d``.
 
     """
     size = (rig.left.height, rig.left.width)
-    if disparity_px.shape != size or sigma_px.shape != size:
+    if {disparity_px.shape, sigma_px.shape, validity.shape} != {size}:
         raise ImageError(
-            f'disparity is {disparity_px.shape} and its sigma {sigma_px.shape} (rows, columns),'
-            f' the rig has {size}; use the calibration of these pictures'
+            f'disparity is {disparity_px.shape}, its sigma {sigma_px.shape} and its validity'
+            f' {validity.shape} (rows, columns), the rig has {size}; use the calibration of these'
+            ' images'
         )
     kept = Validity.MEASURED | (Validity.FILLED if config.keep == 'all' else 0)
     points_xyz = np.empty((*size, 3), np.float32)

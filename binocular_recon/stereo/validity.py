@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a disparity is worth: measured or filled, and why a pixel was not measured."""
+"""Validity of a disparity: measured, filled or extrapolated, and why it was not measured."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import IntFlag
 
 from binocular_recon.stereo import _validity_kernels as bits
 
-# Shares of measured pixels below which a result is refused, and warned of.
+# Shares of measured pixels below which a result is refused, and below which a warning is given.
 LEAST_MATCHED, FEW_MATCHED = 0.1, 0.3
 # With a larger share of the matches outside of a given search range a result is refused too.
 MOST_OUTSIDE = 0.05
@@ -18,22 +18,22 @@ REMEDY = (
 
 
 class Validity(IntFlag):
-    """Bits of a validity image, (H, W) uint8, in the manner of CNES Pandora's validity mask.
+    """Bits of a validity image, (H, W) uint8, similar to the validity mask of CNES Pandora.
 
-    A pixel with a disparity has one of the first three; one that is not measured has a reason
-    beside it. 0: no disparity and no reason known.
+    A pixel with a disparity has one of the first three bits; one that is not measured also has the
+    bit of the reason. 0: no disparity, and no reason known.
     """
 
     MEASURED = int(bits.MEASURED)
-    """Matched in both images, every check passed."""
+    """Matched in both images; every check passed."""
     FILLED = int(bits.FILLED)
     """Not measured; between measured pixels."""
     EXTRAPOLATED = int(bits.EXTRAPOLATED)
-    """Not measured; beyond the last measured pixel, out of the right camera's view, sky."""
+    """Not measured; beyond the last measured pixel: not seen by the right camera, or sky."""
     LOW_TEXTURE = int(bits.LOW_TEXTURE)
     """Too little texture for a score."""
     CONFLICT = int(bits.CONFLICT)
-    """The best match does not match back, or its correlation is not positive."""
+    """The left-right check failed, or the best correlation is not positive."""
     AMBIGUOUS = int(bits.AMBIGUOUS)
     """Another disparity is as good, or too few neighbours agree."""
     AT_LIMIT = int(bits.AT_LIMIT)

@@ -23,7 +23,7 @@ from binocular_recon.io.bags.stereo_topics import find_stereo_topics
 from binocular_recon.io.messages.camera_infos import camera_from_message
 from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image, stamp_ns
-from binocular_recon.stereo.matching.matcher import disparity_step_px
+from binocular_recon.stereo.matching import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from test import bag_tools
 from test.bag_tools import PERIOD_NS, START_NS, Record

@@ -17,7 +17,7 @@ from binocular_recon.images import to_grey
 from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.stereo.filtering.wls_filter import filter_disparity
-from binocular_recon.stereo.matching.matcher import match
+from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.rectification import Rectifier
 from test import stereo_image_proc
 from test.system.chain import reliable

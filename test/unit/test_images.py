@@ -29,7 +29,7 @@ def test_no_data_stays_no_data() -> None:
     np.testing.assert_array_equal(to_bgr8(image)[0, :, 0], [128, 0, 0, 0])
 
 
-def test_colour_for_the_eye() -> None:
+def test_colour_for_display() -> None:
     bgr = np.array([[[10, 20, 30]]], np.uint8)
     assert to_bgr8(bgr) is bgr
     np.testing.assert_array_equal(to_bgr8(bgr.astype(np.uint16) * 257), bgr)
@@ -46,7 +46,7 @@ def test_colour_for_the_eye() -> None:
         (np.zeros((4, 4), np.int32), 'type int32; convert it to one of uint8, uint16'),
     ],
 )
-def test_other_pictures_are_refused(image: np.ndarray, message: str) -> None:
+def test_other_images_are_refused(image: np.ndarray, message: str) -> None:
     for convert in (to_grey, to_bgr8):
         with pytest.raises(ImageError, match=message):
             convert(image)

@@ -224,7 +224,7 @@ def test_nothing_misses_in_incomplete_sets_whose_stamps_agree() -> None:
 
 
 def lagging(lag: int, count: int = 40, every: int = 1) -> list[Message]:
-    """Return pictures, and what is made of each ``every``-th, ``lag`` pictures after it."""
+    """Return images, and a disparity of each ``every``-th one, ``lag`` images later."""
     messages = []
     for k in range(count):
         messages.append(Message('left', 33 * k * MS))
@@ -234,7 +234,7 @@ def lagging(lag: int, count: int = 40, every: int = 1) -> list[Message]:
 
 
 @pytest.mark.parametrize('every', [1, 8])
-def test_pictures_wait_for_what_is_made_of_them(every: int) -> None:
+def test_images_wait_for_their_disparities(every: int) -> None:
     synchronizer = Synchronizer(('left', 'disparity'), queue_size=10)
     messages = lagging(9, every=every)
     sets = feed(synchronizer, messages)
@@ -243,7 +243,7 @@ def test_pictures_wait_for_what_is_made_of_them(every: int) -> None:
 
 
 @pytest.mark.parametrize('every', [1, 8])
-def test_what_comes_too_late_is_told_from_stamps_that_miss(every: int) -> None:
+def test_late_messages_are_distinguished_from_stamps_that_miss(every: int) -> None:
     synchronizer = Synchronizer(('left', 'disparity'), queue_size=10)
     assert feed(synchronizer, lagging(16, every=every)) == []
     assert synchronizer.too_late() == {'disparity': 17}

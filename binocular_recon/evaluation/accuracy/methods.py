@@ -13,7 +13,7 @@ from binocular_recon.images import FloatImage, Image, to_grey
 from binocular_recon.options import OptionValue
 from binocular_recon.stereo.confidence import sigma_from_confidence
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
-from binocular_recon.stereo.matching.matcher import match
+from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.pipeline import estimate_disparity
 
 

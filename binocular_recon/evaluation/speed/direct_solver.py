@@ -22,8 +22,8 @@ def solve_direct(equations: Equations) -> npt.NDArray[np.float64]:
     pixels = np.arange(height * width).reshape(height, width)
     laplacian = sp.csc_array((height * width, height * width))
     for one, other, link in (
-        (pixels[:, :-1], pixels[:, 1:], equations.link_x),
-        (pixels[:-1], pixels[1:], equations.link_y),
+        (pixels[:, :-1], pixels[:, 1:], equations.link_east),
+        (pixels[:-1], pixels[1:], equations.link_south),
     ):
         a, b, value = one.ravel(), other.ravel(), link.ravel().astype(np.float64)
         rows, columns = np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a])

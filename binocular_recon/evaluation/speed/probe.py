@@ -90,7 +90,7 @@ def _peak_bytes() -> int:
 
 def _measure_memory(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:
     from binocular_recon.evaluation.speed.stages import Bench, Size
-    from binocular_recon.stereo.matching.matcher import match
+    from binocular_recon.stereo.matching import match
 
     small, large = Bench(Size(*_SMALL), [preset]), Bench(Size(*size), [preset])
     match(*small.grey, small.config(preset).match)

@@ -20,7 +20,7 @@ from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.speed.synthetic import SyntheticPair, synthetic_pair
 from binocular_recon.images import FloatImage, Image, to_grey
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
-from binocular_recon.stereo.matching.matcher import Match, match
+from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.pipeline import Chain
 from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.triangulation import triangulate

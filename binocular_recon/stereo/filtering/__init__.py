@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The edge-preserving weighted least squares filter and its exact solver (eq. 11-15).
+"""The edge-preserving weighted least squares filter and its solver (eq. 11-15).
 
 `wls_filter` is the filter; `_equations` builds its normal equations; `_wls_solver` solves them
 by conjugate gradients with a multigrid preconditioner, whose levels are in `_grids` and whose
-kernels are in the modules ``_*_kernels``. Exports `filter_disparity`, and `DisparityFilter` for
-frame after frame.
+kernels are in the modules ``_*_kernels``. Exports `filter_disparity` for a single image pair and
+`DisparityFilter` for a stream.
 """
 
 from typing import TYPE_CHECKING

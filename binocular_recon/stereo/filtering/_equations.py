@@ -12,11 +12,7 @@ from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
-from binocular_recon.stereo.holes import fill_from_nearest
-from binocular_recon.stereo.holes.completion import (
-    complete,
-    copy_nearest_rows,
-)
+from binocular_recon.stereo.holes.completion import complete, fill_from_nearest
 
 
 class Equations(NamedTuple):
@@ -25,20 +21,20 @@ class Equations(NamedTuple):
     Attributes
     ----------
     data : (H, W) float32
-        b, without gaps.
+        b, without holes.
     weight : (H, W) float32
         c, the diagonal of C.
-    link_x : (H, W - 1) float32
-        lambda a_x between horizontal neighbours.
-    link_y : (H - 1, W) float32
-        lambda a_y between vertical neighbours.
+    link_east : (H, W - 1) float32
+        lambda a_x, between a pixel and its eastern neighbour.
+    link_south : (H - 1, W) float32
+        lambda a_y, between a pixel and its southern neighbour (the next row; y points down).
 
     """
 
     data: FloatImage
     weight: FloatImage
-    link_x: FloatImage
-    link_y: FloatImage
+    link_east: FloatImage
+    link_south: FloatImage
 
 
 def normal_equations(
@@ -53,7 +49,7 @@ def normal_equations(
     confidence, guide : (H, W) float32
         As for `filter_disparity`.
     config : FilterConfig
-        Weights.
+        Options of the filter.
 
     """
     data, weight = _data_term(measured_px, confidence, config)
@@ -63,25 +59,17 @@ def normal_equations(
 def _data_term(
     measured: FloatImage, confidence: FloatImage, config: FilterConfig
 ) -> tuple[FloatImage, FloatImage]:
-    """Return b without gaps and c of eq. 13."""
+    """Return b without holes and c of eq. 13."""
     if not config.wls_use_confidence:
-        return _nearest_in_row(measured), np.ones_like(measured)
+        return fill_from_nearest(measured), np.ones_like(measured)
     valid = np.isfinite(measured)
     weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
     data, completed = complete(measured, weight, extrapolate=config.wls_extrapolate)
     return data, completed if config.wls_complete else weight
 
 
-def _nearest_in_row(measured: FloatImage) -> FloatImage:
-    """Give each pixel without a value the nearest in its row; an empty row the nearest row."""
-    filled = np.empty_like(measured)
-    over_strips(fill_from_nearest, len(measured), measured, filled)
-    copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
-    return filled
-
-
 def _luminance(data: FloatImage, guide: FloatImage, config: FilterConfig) -> FloatImage:
-    """Return the guide's luminance Y in [0, 1], NaN where there is no picture."""
+    """Return the luminance Y of the guide in [0, 1]; NaN where it has no data."""
     if config.wls_guide == 'left':
         return np.asarray(guide, np.float32) / np.float32(255)
     low, high = data.min(), data.max()
@@ -95,17 +83,18 @@ def _links(
     """Return lambda a_x (H, W - 1) and lambda a_y (H - 1, W) of eq. 12."""
     luminance = _luminance(data, guide, config)
     height, width = data.shape
-    link_x = np.empty((height, width - 1), np.float32)
-    link_y = np.empty((height - 1, width), np.float32)
+    east = np.empty((height, width - 1), np.float32)
+    south = np.empty((height - 1, width), np.float32)
     options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon
 
     def fill(start: int, stop: int) -> None:
         log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
-        kernels.size_of_steps(log, link_x, link_y, start, stop)  # no picture, no edge
-        for link in (link_x[start:stop], link_y[start:stop]):
-            if link.size:  # OpenCV refuses an empty one
-                cv2.pow(link, config.wls_alpha, link)
-        kernels.weigh_links(data, link_x, link_y, options, start, stop)
+        # where the guide has no data there is no edge
+        kernels.absolute_differences(log, east, south, start, stop)
+        for gradient in (east[start:stop], south[start:stop]):
+            if gradient.size:  # OpenCV refuses an empty array
+                cv2.pow(gradient, config.wls_alpha, gradient)
+        kernels.gradients_to_links(data, east, south, options, start, stop)
 
     over_strips(fill, height)
-    return link_x, link_y
+    return east, south

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the filter around its solver: links and the variance of pixels."""
+"""Kernels of the filter around its solver: links, and the standard deviation of each pixel."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from binocular_recon._jit import Array, kernel
+from binocular_recon.stereo.filtering._lattice_kernels import ZERO
 
-REACH = 3  # of the window in which the data's scatter around the solution is taken
-_ZERO = np.float32(0)
+REACH = 3  # radius of the window in which the scatter of the data is taken, px
 _WHOLE = np.float32(1e-3)
 
 
 class SigmaTerms(NamedTuple):
-    """What the variance of pixels is made of; images are (H, W) float32.
+    """The terms of the variance of a pixel; images are (H, W) float32.
 
     Attributes
     ----------
-    measured, filtered : disparity, NaN = none in the first.
+    measured, filtered : disparity, px; NaN = none in the first.
     confidence : of matches, above 0.
-    unit, least : variance of a match whose confidence is 1/2, and of every pixel.
-    rounding : least variance of the scatter.
+    unit, least : variance of a match with confidence 1/2, and the part common to all pixels.
+    rounding : lower limit of the variance of the scatter.
     holes : variance of pixels without a match.
 
     """
@@ -38,7 +38,7 @@ class SigmaTerms(NamedTuple):
 
 @kernel
 def all_whole(values: Array) -> bool:
-    """Return whether all but NaN are whole numbers, to the rounding of float32."""
+    """Return whether all values are NaN or whole numbers, to the rounding of float32."""
     for y in range(values.shape[0]):
         for value in values[y]:
             if abs(value - np.rint(value)) > _WHOLE:
@@ -47,46 +47,49 @@ def all_whole(values: Array) -> bool:
 
 
 @kernel
-def _size_of_step(one: Array, other: Array, out: Array) -> None:
+def _absolute_difference(one: Array, other: Array, out: Array) -> None:
     for i in range(len(out)):
-        step = abs(one[i] - other[i])
-        out[i] = _ZERO if np.isnan(step) else step
+        difference = abs(one[i] - other[i])
+        out[i] = ZERO if np.isnan(difference) else difference
 
 
 @kernel
-def size_of_steps(values: Array, right: Array, down: Array, start: int, stop: int) -> None:
-    """Write the size of the step to the right and to the lower neighbour, 0 where it is NaN."""
+def absolute_differences(values: Array, east: Array, south: Array, start: int, stop: int) -> None:
+    """Write the absolute differences from the east and the south neighbour; 0 where NaN."""
     for y in range(start, stop):
-        _size_of_step(values[y - start, 1:], values[y - start, :-1], right[y])
-        if y < len(down):
-            _size_of_step(values[y - start + 1], values[y - start], down[y])
+        _absolute_difference(values[y - start, 1:], values[y - start, :-1], east[y])
+        if y < len(south):
+            _absolute_difference(values[y - start + 1], values[y - start], south[y])
 
 
 @kernel
-def _weigh(
-    one: Array, other: Array, gradient: Array, strength: float, steps: float, epsilon: float
+def _gradient_to_link(
+    one: Array, other: Array, link: Array, strength: float, steps: float, epsilon: float
 ) -> None:
-    share, kappa, least = np.float32(strength), np.float32(steps), np.float32(epsilon)
-    for i in range(len(gradient)):
+    factor, kappa, least = np.float32(strength), np.float32(steps), np.float32(epsilon)
+    for i in range(len(link)):
         step = one[i] - other[i]
-        gradient[i] = share / (gradient[i] + kappa * step * step + least)
+        link[i] = factor / (link[i] + kappa * step * step + least)
 
 
 @kernel
-def weigh_links(
+def gradients_to_links(
     data: Array,
-    right: Array,
-    down: Array,
+    east: Array,
+    south: Array,
     options: tuple[float, float, float],
     start: int,
     stop: int,
 ) -> None:
-    """Replace the gradient term of links by ``lambda / (gradient + kappa step^2 + epsilon)``."""
+    """Replace gradient terms by links: ``lambda / (gradient + kappa step^2 + epsilon)``.
+
+    ``options`` are lambda, kappa and epsilon; a step is that of ``data`` between two neighbours.
+    """
     strength, steps, epsilon = options
     for y in range(start, stop):
-        _weigh(data[y, 1:], data[y, :-1], right[y], strength, steps, epsilon)
-        if y < len(down):
-            _weigh(data[y + 1], data[y], down[y], strength, steps, epsilon)
+        _gradient_to_link(data[y, 1:], data[y, :-1], east[y], strength, steps, epsilon)
+        if y < len(south):
+            _gradient_to_link(data[y + 1], data[y], south[y], strength, steps, epsilon)
 
 
 @kernel
@@ -96,29 +99,28 @@ def _add(out: Array, values: Array) -> None:
 
 
 @kernel
-def _compare(measured: Array, filtered: Array, square: Array, count: Array) -> None:
+def _add_squares(measured: Array, filtered: Array, square: Array, count: Array) -> None:
     for i in range(len(measured)):
         difference = measured[i] - filtered[i]
         valid = not np.isnan(difference)
-        square[i] += difference * difference if valid else _ZERO
-        count[i] += np.float32(1) if valid else _ZERO
+        square[i] += difference * difference if valid else ZERO
+        count[i] += np.float32(1) if valid else ZERO
 
 
 @kernel
-def _spread_along_row(padded: Array, out: Array) -> None:
-    out[:] = _ZERO
+def _sum_along_row(padded: Array, out: Array) -> None:
+    out[:] = ZERO
     for shift in range(2 * REACH + 1):
         _add(out, padded[shift : shift + len(out)])
 
 
 @kernel
-def _add_variances(
-    evidence: SigmaTerms, y: int, squares: Array, counts: Array, out: Array
-) -> None:
-    measured, level, hole = evidence.measured[y], evidence.confidence[y], evidence.holes[y]
-    one, unit, least = np.float32(1), np.float32(evidence.unit), np.float32(evidence.least)
-    rounding = np.float32(evidence.rounding)
+def _set_sigma(terms: SigmaTerms, y: int, squares: Array, counts: Array, out: Array) -> None:
+    measured, level, hole = terms.measured[y], terms.confidence[y], terms.holes[y]
+    one, unit, least = np.float32(1), np.float32(terms.unit), np.float32(terms.least)
+    rounding = np.float32(terms.rounding)
     for x in range(len(out)):
+        # the inverse of confidence_from_sigma
         matched = unit * (one / min(level[x], one) - one)
         variance = least + (hole[x] if np.isnan(measured[x]) else matched)
         variance += max(squares[x] / max(counts[x], one), rounding)
@@ -126,17 +128,21 @@ def _add_variances(
 
 
 @kernel
-def standard_deviation(evidence: SigmaTerms, sigma: Array, start: int, stop: int) -> None:
-    """Write the root of a constant, the match's or the hole's variance and the data's scatter."""
-    measured, filtered = evidence.measured, evidence.filtered
+def standard_deviation(terms: SigmaTerms, sigma: Array, start: int, stop: int) -> None:
+    """Write the standard deviation of each pixel.
+
+    It is the root of the sum of a constant, the variance of the match or of the hole, and the
+    scatter of the data around the solution.
+    """
+    measured, filtered = terms.measured, terms.filtered
     height, width = measured.shape
     columns = np.zeros((2, width + 2 * REACH), np.float32)
     squares, counts = np.empty(width, np.float32), np.empty(width, np.float32)
     for y in range(start, stop):
-        columns[:] = _ZERO
+        columns[:] = ZERO
         for near in range(max(0, y - REACH), min(height, y + REACH + 1)):
             inside = slice(REACH, REACH + width)
-            _compare(measured[near], filtered[near], columns[0, inside], columns[1, inside])
-        _spread_along_row(columns[0], squares)
-        _spread_along_row(columns[1], counts)
-        _add_variances(evidence, y, squares, counts, sigma[y])
+            _add_squares(measured[near], filtered[near], columns[0, inside], columns[1, inside])
+        _sum_along_row(columns[0], squares)
+        _sum_along_row(columns[1], counts)
+        _set_sigma(terms, y, squares, counts, sigma[y])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of conjugate gradients: scalar products and steps on the vectors of a lattice."""
+"""Kernels of conjugate gradients: dot products and updates of the vectors of a lattice."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from binocular_recon._simd import (
     store,
 )
 from binocular_recon.stereo.filtering._lattice_kernels import (
-    PAD,
     ZERO,
     Lattice,
     Vector,
-    flux,
-    steps,
+    minus_product,
+    node,
+    offsets,
 )
 
 
@@ -32,45 +32,45 @@ def _larger_size(largest: Any, value: Any) -> Any:
 
 
 @inline_kernel
-def _sum(vector: Any, space: Vector) -> float:
-    store(space, 0, vector)
+def _sum(vector: Any, scratch: Vector) -> float:
+    store(scratch, 0, vector)
     total = 0.0
     for i in range(LANES):
-        total += float(space[i])
+        total += float(scratch[i])
     return total
 
 
 @inline_kernel
-def _largest(vector: Any, space: Vector) -> float:
-    store(space, 0, vector)
+def _largest(vector: Any, scratch: Vector) -> float:
+    store(scratch, 0, vector)
     largest = 0.0
     for i in range(LANES):
-        largest = max(largest, float(space[i]))
+        largest = max(largest, float(scratch[i]))
     return largest
 
 
 @kernel
-def measure(
+def dot_and_largest(
     lattice: Lattice, z: Vector, b: Vector, sums: npt.NDArray[np.float64], start: int, stop: int
 ) -> None:
     """Write z.b and max|z| of a strip into ``sums[strip]``."""
-    dot, largest, space = 0.0, splat(ZERO), np.empty(LANES, np.float32)
+    dot, largest, scratch = 0.0, splat(ZERO), np.empty(LANES, np.float32)
     for y in range(start, stop):
-        first, products = (y + PAD) * lattice.stride + PAD, splat(ZERO)
+        first, products = node(lattice.stride, y, 0), splat(ZERO)
         for k in range(first, first + lattice.width, LANES):
             value = load(z, k)
             products = products + value * load(b, k)
             largest = _larger_size(largest, value)
-        dot += _sum(products, space)
+        dot += _sum(products, scratch)
     strip = start // lattice.strip
-    sums[strip, 0], sums[strip, 1] = dot, _largest(largest, space)
+    sums[strip, 0], sums[strip, 1] = dot, _largest(largest, scratch)
 
 
 @kernel
-def turn(
+def update_direction(
     lattice: Lattice,
     z: Vector,
-    share: float,
+    beta: float,
     residual: Vector,
     p: Vector,
     Ap: Vector,
@@ -78,31 +78,36 @@ def turn(
     start: int,
     stop: int,
 ) -> None:
-    """Write z + share p over p, A p alike; p.Ap, p.residual and max|p| into ``sums[strip]``."""
-    factor, zero, space = splat(np.float32(share)), splat(ZERO), np.empty(LANES, np.float32)
+    """Replace p by z + beta p, and A p likewise.
+
+    Writes p.Ap, p.residual and max|p| of a strip into ``sums[strip]``.
+    """
+    factor, zero, scratch = splat(np.float32(beta)), splat(ZERO), np.empty(LANES, np.float32)
     pAp, pr, largest = 0.0, 0.0, zero
     for y in range(start, stop):
-        ahead, back = steps(lattice.later, y), steps(lattice.earlier, y)
-        first, energy, gain = (y + PAD) * lattice.stride + PAD, zero, zero
+        ahead, back = offsets(lattice.later, y), offsets(lattice.earlier, y)
+        first, row_pAp, row_pr = node(lattice.stride, y, 0), zero, zero
         for k in range(first, first + lattice.width, LANES):
             value = load(z, k) + factor * load(p, k)
-            product = factor * load(Ap, k) - flux(lattice, z, k, ahead, back)
+            product = factor * load(Ap, k) - minus_product(lattice, z, k, ahead, back)
             store(p, k, value)
             store(Ap, k, product)
-            energy = energy + value * product
-            gain = gain + value * load(residual, k)
+            row_pAp = row_pAp + value * product
+            row_pr = row_pr + value * load(residual, k)
             largest = _larger_size(largest, value)
-        pAp += _sum(energy, space)
-        pr += _sum(gain, space)
+        pAp += _sum(row_pAp, scratch)
+        pr += _sum(row_pr, scratch)
     strip = start // lattice.strip
-    sums[strip, 0], sums[strip, 1], sums[strip, 2] = pAp, pr, _largest(largest, space)
+    sums[strip, 0], sums[strip, 1], sums[strip, 2] = pAp, pr, _largest(largest, scratch)
 
 
 @kernel
-def step(lattice: Lattice, length: float, p: Vector, x: Vector, start: int, stop: int) -> None:
-    """Add ``length p`` to x."""
-    factor = splat(np.float32(length))
+def update_solution(
+    lattice: Lattice, alpha: float, p: Vector, x: Vector, start: int, stop: int
+) -> None:
+    """Add ``alpha p`` to x."""
+    factor = splat(np.float32(alpha))
     for y in range(start, stop):
-        first = (y + PAD) * lattice.stride + PAD
+        first = node(lattice.stride, y, 0)
         for k in range(first, first + lattice.width, LANES):
             store(x, k, load(x, k) + factor * load(p, k))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grids of the multigrid cycle: a lattice per level, with the vectors that it needs."""
+"""The grids of the multigrid cycle: each level has a lattice and its vectors."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ _NODES_PER_STRIP = 65536
 
 
 def padded_stride(columns: int) -> int:
-    """Return the floats of a row of nodes: a pad and whole pairs of vectors."""
+    """Return the floats per row of nodes: the padding and a whole number of pairs of vectors."""
     return PAD + -(-columns // (2 * LANES)) * 2 * LANES
 
 
 class Level:
-    """A lattice with the vectors that a cycle needs on it."""
+    """A lattice, with the vectors of the multigrid cycle.
+
+    With ``black`` it holds the black pixels: rows are shifted against each other by half a node.
+    """
 
     def __init__(self, rows: int, columns: int, *, black: bool = False) -> None:
         stride = padded_stride(columns)
         nodes = (rows + 2 * PAD) * stride + 2 * LANES
         strips = max(1, round(nodes / _NODES_PER_STRIP))
         strip = max(8, -(-rows // (strips + strips % 2))) if strips > 1 else rows
-        of_strip = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
+        strip_nodes = (min(strip, rows) + 2 * (OVERLAP + PAD)) * stride + LANES
         strips = -(-rows // strip)
         if black:
             later = [[1, stride - 1, stride, 2 * stride], [1, stride, stride + 1, 2 * stride]]
@@ -44,8 +47,8 @@ class Level:
         self.lattice = Lattice(
             links=np.zeros((4, nodes), np.float32),
             excess=np.zeros(nodes, np.float32),
-            factors=np.zeros((strips, 5, of_strip), np.float32),
-            scratch=np.zeros((strips, of_strip), np.float32),
+            factors=np.zeros((strips, 5, strip_nodes), np.float32),
+            scratch=np.zeros((strips, strip_nodes), np.float32),
             later=np.array(later),
             earlier=np.array(earlier),
             triangles=np.array(triangles),
@@ -54,33 +57,33 @@ class Level:
             stride=stride,
             strip=strip,
         )
-        self.right, self.x, self.work = (self.vector() for _ in range(3))
+        self.rhs, self.x, self.work = (self.vector() for _ in range(3))
 
     def vector(self) -> Vector:
         return np.zeros_like(self.lattice.excess)
 
-    def over(self, function: Callable[..., None], *args: Any) -> None:
-        """Call a kernel on this level's rows."""
+    def run(self, function: Callable[..., None], *args: Any) -> None:
+        """Call a kernel on all rows of this level."""
         over_strips(function, self.lattice.rows, *args, strip=self.lattice.strip)
 
     def factorise(self) -> None:
-        self.over(lattice_kernels.factorise, self.lattice)
+        self.run(lattice_kernels.factorise, self.lattice)
 
-    def smooth(self, right: Vector, x: Vector, out: Vector, *, correct: bool) -> None:
-        self.over(lattice_kernels.smooth, self.lattice, right, x, out, correct)
+    def smooth(self, rhs: Vector, x: Vector, out: Vector, *, correct: bool) -> None:
+        self.run(lattice_kernels.smooth, self.lattice, rhs, x, out, correct)
 
-    def residual(self, right: Vector, x: Vector, out: Vector) -> None:
-        self.over(lattice_kernels.residual, self.lattice, right, x, out)
+    def residual(self, rhs: Vector, x: Vector, out: Vector) -> None:
+        self.run(lattice_kernels.residual, self.lattice, rhs, x, out)
 
-    def sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
-        """Call a kernel that writes three numbers for each strip; return them, (strips, 3)."""
+    def strip_sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
+        """Call a kernel that writes three sums per strip; return them, (strips, 3)."""
         sums = np.zeros((len(self.lattice.factors), 3))
-        self.over(function, self.lattice, *args, sums)
+        self.run(function, self.lattice, *args, sums)
         return sums
 
 
 class Coarser(NamedTuple):
-    """The next coarser grid and the way to it."""
+    """The next coarser grid, and the interpolation from it."""
 
     level: Level
     transfer: Transfer

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the filter's solver: a lattice's equations, their smoother and vectors on them.
+"""Kernels of the filter's solver: the equations on a lattice, and their smoother.
 
-A lattice is a grid of nodes, each with an excess (what ties it to the data) and links to later
-nodes, kept as flat arrays of padded rows: node (y, x) is at ``(y + PAD) * stride + x + PAD`` and
-pads are zero, so that no kernel needs to know where a picture ends. Its matrix A has
-``(A x)_p = excess_p x_p + sum_q link_pq (x_p - x_q)``: never forming the diagonal keeps float32
-exact to the last digits of x although links span five decades and more.
+A lattice is a grid of nodes, each with links to later nodes and an excess (its weight of the
+data). All are flat arrays of padded rows; `node` gives the place of a node. The padding is zero,
+so that no kernel has to treat the image border. The matrix A of a lattice is given by
+``(A x)_p = excess_p x_p + sum_q link_pq (x_p - x_q)``. It is computed in this form, never with the
+diagonal, because links span five decades and more: float32 would lose the last digits of x.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ from binocular_recon._simd import (
 )
 
 Vector = npt.NDArray[np.float32]
-Steps = tuple[Any, Any, Any]
+Offsets = tuple[Any, Any, Any]
 
 PAD = 2
-# Rows by which the strips of the smoother overlap: enough that a strip does not see its ends.
+# Rows by which the strips of the smoother overlap: the error at their ends decays within these.
 OVERLAP = 4
 ZERO = np.float32(0)
-_ONE = np.float32(1)
+ONE = np.float32(1)
+TINY = np.float32(1e-30)  # keeps divisors above zero
 _NEGLIGIBLE = np.float32(1e-18)
 
 
@@ -45,20 +46,20 @@ class Lattice(NamedTuple):
     Attributes
     ----------
     links : (4, nodes) float32
-        To the next node of the row and to three nodes of later rows.
+        To the next node of the row (east) and to three nodes of later rows.
     excess : (nodes,) float32
-        What the diagonal has beyond the sum of links.
+        Diagonal minus the sum of the links.
     factors : (strips, 5, nodes of a strip) float32
         Incomplete Cholesky factors: unit upper triangle by link, inverse diagonal.
     scratch : (strips, nodes of a strip) float32
-        Space for the smoother.
+        Work space of the smoother.
     later, earlier : (2, 4) int64
-        By the row's parity: how far ahead the four linked nodes are, and how far back the four
-        nodes that link here.
+        By the parity of the row: how far ahead the four linked nodes are, and how far back the
+        four nodes that link to this one.
     triangles : (4, 3) int64
-        Links a and b of a node and the link c that joins their ends.
+        Links a and b of a node, and the link c between their ends.
     rows, width, stride, strip : int
-        Rows, columns up to a whole vector, floats per padded row, rows per strip.
+        Rows, columns rounded up to a whole vector, floats per padded row, rows per strip.
 
     """
 
@@ -76,19 +77,26 @@ class Lattice(NamedTuple):
 
 
 @inline_kernel
-def steps(table: npt.NDArray[np.int64], y: int) -> Steps:
+def node(stride: int, y: int, x: int) -> int:
+    """Return the place of node (y, x) in a flat array of padded rows."""
+    return (y + PAD) * stride + x + PAD
+
+
+@inline_kernel
+def offsets(table: npt.NDArray[np.int64], y: int) -> Offsets:
+    """Return the last three offsets of row ``y``; the first is always 1."""
     row = table[y & 1]
     return row[1], row[2], row[3]
 
 
 @inline_kernel
-def flux(lattice: Lattice, x: Vector, k: int, ahead: Steps, back: Steps) -> Any:
-    """Return a vector of ``-A x`` from node k."""
+def minus_product(lattice: Lattice, x: Vector, k: int, ahead: Offsets, back: Offsets) -> Any:
+    """Return a vector of ``-A x``, from node k on."""
     links = lattice.links
-    right, one, two, three = links[0], links[1], links[2], links[3]
+    east, one, two, three = links[0], links[1], links[2], links[3]
     here = load(x, k)
-    total = load(right, k) * (load(x, k + 1) - here)
-    total = total + load(right, k - 1) * (load(x, k - 1) - here)
+    total = load(east, k) * (load(x, k + 1) - here)
+    total = total + load(east, k - 1) * (load(x, k - 1) - here)
     total = total + load(one, k) * (load(x, k + ahead[0]) - here)
     total = total + load(one, k - back[0]) * (load(x, k - back[0]) - here)
     total = total + load(two, k) * (load(x, k + ahead[1]) - here)
@@ -99,24 +107,25 @@ def flux(lattice: Lattice, x: Vector, k: int, ahead: Steps, back: Steps) -> Any:
 
 
 @inline_kernel
-def _coupled(factors: Vector, i: int, z: Vector, j: int, a: int) -> Any:
+def _factor_times(factors: Vector, i: int, z: Vector, j: int, a: int) -> Any:
     return load(factors[a], i) * load(z, j)
 
 
 @inline_kernel
-def _settled(share: Any) -> Any:
-    """Return the vector without what is next to nothing and would underflow when multiplied."""
+def _without_negligible(share: Any) -> Any:
+    """Return the vector with zeros for numbers so small that their products would underflow."""
     return at_most(share, splat(_NEGLIGIBLE), splat(ZERO), share)
 
 
 @inline_kernel
 def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
-    """Replace z[i] by z[i] + factor[i - 1] * z[i - 1], in turn.
+    """Replace z[i] by z[i] + factor[i - 1] * z[i - 1], in rising order.
 
-    A vector at a time by doubling: after the step of ``d``, value and share of a node tell what
-    it gets from the ``2 d`` nodes up to it.
+    A vector at a time, by doubling: after the step of ``d``, ``value`` of a node holds the
+    contributions of the ``2 d`` nodes up to it, and ``share`` is the factor on those before.
+    `_solve_backward` is the mirror image; they are written twice because `slide` takes literals.
     """
-    zero, one, before = splat(ZERO), splat(_ONE), splat(ZERO)
+    zero, one, before = splat(ZERO), splat(ONE), splat(ZERO)
     for i in range(first, last, LANES):
         value, share = load(z, i), load(factor, i - 1)
         value = value + share * slide(zero, value, 1)
@@ -124,9 +133,9 @@ def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
         value = value + share * slide(zero, value, 2)
         share = share * slide(one, share, 2)
         value = value + share * slide(zero, value, 4)
-        share = _settled(share * slide(one, share, 4))
+        share = _without_negligible(share * slide(one, share, 4))
         value = value + share * slide(zero, value, 8)
-        share = _settled(share * slide(one, share, 8))
+        share = _without_negligible(share * slide(one, share, 8))
         value = value + share * slide(zero, value, 16)
         share = share * slide(one, share, 16)
         value = value + share * before
@@ -136,8 +145,8 @@ def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
 
 @inline_kernel
 def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
-    """Replace z[i] by z[i] + factor[i] * z[i + 1], in turn from the last."""
-    zero, one, after = splat(ZERO), splat(_ONE), splat(ZERO)
+    """Replace z[i] by z[i] + factor[i] * z[i + 1], in falling order."""
+    zero, one, after = splat(ZERO), splat(ONE), splat(ZERO)
     for i in range(last - LANES, first - 1, -LANES):
         value, share = load(z, i), load(factor, i)
         value = value + share * slide(value, zero, 31)
@@ -145,9 +154,9 @@ def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
         value = value + share * slide(value, zero, 30)
         share = share * slide(share, one, 30)
         value = value + share * slide(value, zero, 28)
-        share = _settled(share * slide(share, one, 28))
+        share = _without_negligible(share * slide(share, one, 28))
         value = value + share * slide(value, zero, 24)
-        share = _settled(share * slide(share, one, 24))
+        share = _without_negligible(share * slide(share, one, 24))
         value = value + share * slide(value, zero, 16)
         share = share * slide(share, one, 16)
         value = value + share * after
@@ -156,25 +165,23 @@ def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
 
 
 @kernel
-def residual(
-    lattice: Lattice, right: Vector, x: Vector, out: Vector, start: int, stop: int
-) -> None:
-    """Write ``right - A x``."""
+def residual(lattice: Lattice, rhs: Vector, x: Vector, out: Vector, start: int, stop: int) -> None:
+    """Write ``rhs - A x``."""
     for y in range(start, stop):
-        ahead, back = steps(lattice.later, y), steps(lattice.earlier, y)
-        first = (y + PAD) * lattice.stride + PAD
+        ahead, back = offsets(lattice.later, y), offsets(lattice.earlier, y)
+        first = node(lattice.stride, y, 0)
         for k in range(first, first + lattice.width, LANES):
-            store(out, k, load(right, k) + flux(lattice, x, k, ahead, back))
+            store(out, k, load(rhs, k) + minus_product(lattice, x, k, ahead, back))
 
 
 @kernel
 def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> None:
-    """Copy a strip's matrix; a negative link is left out, which makes the matrix larger."""
+    """Copy a strip's matrix without negative links, so that the factors stay positive."""
     stride, links, zero = lattice.stride, lattice.links, splat(ZERO)
     diagonal = factors[4]
     for y in range(top, bottom):
         back = lattice.earlier[y & 1]
-        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        k, first = node(stride, y, 0), node(stride, y - top, 0)
         for i in range(first, first + lattice.width, LANES):
             total = load(lattice.excess, k)
             for a in range(4):
@@ -188,14 +195,14 @@ def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> Non
 
 
 @ordered_kernel
-def _invert_pivots(diagonal: Vector, right: Vector, first: int, last: int) -> None:
-    """Replace a row's diagonal by 1 / pivots: each node but the last changes the next one's."""
-    taken = ZERO
+def _invert_pivots(diagonal: Vector, link_east: Vector, first: int, last: int) -> None:
+    """Replace the diagonal of a row by 1 / pivots; each elimination changes the next diagonal."""
+    eliminated = ZERO
     for i in range(first, last):
-        pivot = diagonal[i] - taken
-        inverse = _ONE / pivot if pivot > 0 else ZERO
+        pivot = diagonal[i] - eliminated
+        inverse = ONE / pivot if pivot > 0 else ZERO
         diagonal[i] = inverse
-        taken = right[i] * right[i] * inverse
+        eliminated = link_east[i] * link_east[i] * inverse
 
 
 @kernel
@@ -206,7 +213,7 @@ def factorise(lattice: Lattice, start: int, stop: int) -> None:
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     _load_strip(lattice, factors, top, bottom)
     for y in range(top, bottom):
-        ahead, first = lattice.later[y & 1], (y - top + PAD) * stride + PAD
+        ahead, first = lattice.later[y & 1], node(stride, y - top, 0)
         last = first + lattice.width
         _invert_pivots(inverse, factors[0], first, last)
         for t in range(4):
@@ -227,36 +234,36 @@ def factorise(lattice: Lattice, start: int, stop: int) -> None:
 
 @kernel
 def smooth(
-    lattice: Lattice, right: Vector, x: Vector, out: Vector, correct: bool, start: int, stop: int
+    lattice: Lattice, rhs: Vector, x: Vector, out: Vector, correct: bool, start: int, stop: int
 ) -> None:
-    """Solve approximately by the incomplete factors.
+    """Solve approximately, by the incomplete factors M.
 
-    Writes ``M^-1 right``, or with ``correct`` ``x + M^-1 (right - A x)``; ``out`` is not ``x``.
+    Writes ``M^-1 rhs``, or with ``correct`` ``x + M^-1 (rhs - A x)``; ``out`` must not be ``x``.
     """
     stride, n = lattice.stride, lattice.width
     factors, z = lattice.factors[start // lattice.strip], lattice.scratch[start // lattice.strip]
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     for y in range(top, bottom):
-        ahead, back = steps(lattice.later, y), steps(lattice.earlier, y)
-        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        ahead, back = offsets(lattice.later, y), offsets(lattice.earlier, y)
+        k, first = node(stride, y, 0), node(stride, y - top, 0)
         for i in range(first, first + n, LANES):
-            value = load(right, k)
+            value = load(rhs, k)
             if correct:
-                value = value + flux(lattice, x, k, ahead, back)
-            value = value + _coupled(factors, i - back[0], z, i - back[0], 1)
-            value = value + _coupled(factors, i - back[1], z, i - back[1], 2)
-            value = value + _coupled(factors, i - back[2], z, i - back[2], 3)
+                value = value + minus_product(lattice, x, k, ahead, back)
+            value = value + _factor_times(factors, i - back[0], z, i - back[0], 1)
+            value = value + _factor_times(factors, i - back[1], z, i - back[1], 2)
+            value = value + _factor_times(factors, i - back[2], z, i - back[2], 3)
             store(z, i, value)
             k += LANES
         _solve_forward(z, factors[0], first, first + n)
     for y in range(bottom - 1, top - 1, -1):
-        ahead = steps(lattice.later, y)
-        k, first = (y + PAD) * stride + PAD, (y - top + PAD) * stride + PAD
+        ahead = offsets(lattice.later, y)
+        k, first = node(stride, y, 0), node(stride, y - top, 0)
         for i in range(first, first + n, LANES):
             value = load(z, i) * load(factors[4], i)
-            value = value + _coupled(factors, i, z, i + ahead[0], 1)
-            value = value + _coupled(factors, i, z, i + ahead[1], 2)
-            value = value + _coupled(factors, i, z, i + ahead[2], 3)
+            value = value + _factor_times(factors, i, z, i + ahead[0], 1)
+            value = value + _factor_times(factors, i, z, i + ahead[1], 2)
+            value = value + _factor_times(factors, i, z, i + ahead[2], 3)
             store(z, i, value)
         _solve_backward(z, factors[0], first, first + n)
         if start <= y < stop:

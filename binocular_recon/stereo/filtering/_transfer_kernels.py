@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels between a grid and the grid of every second node: black-box multigrid.
+"""Kernels between a grid and the next coarser one, of every second node: black-box multigrid.
 
 The interpolation follows the links (J. E. Dendy, Black box multigrid, J. Comput. Phys. 48, 1982),
 so it does not cross the edges that the filter preserves; the coarse equations are Galerkin's,
-P^T A P. A fine node between two coarse ones takes both values, weighed by its links to either
-side; one amid four solves its own equation.
+P^T A P. A fine node on the line between two coarse ones (a line node) takes the mean of both,
+weighted by its links to either side; one at the centre of four coarse nodes (a centre node) solves
+its own equation.
 """
 
 from __future__ import annotations
@@ -25,13 +26,9 @@ from binocular_recon._simd import (
     store,
     store_pairs,
 )
-from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
+from binocular_recon.stereo.filtering._lattice_kernels import ONE, PAD, TINY, ZERO, Vector, node
 
 Real = np.floating[Any] | float
-
-_ZERO = np.float32(0)
-_ONE = np.float32(1)
-_TINY = np.float32(1e-30)
 
 
 class Transfer(NamedTuple):
@@ -40,11 +37,11 @@ class Transfer(NamedTuple):
     Attributes
     ----------
     weights : (6, coarse nodes) float32
-        Two for the fine nodes right of and below a coarse node: its share, the rest is that of
-        its neighbour. Four for the fine node diagonally below: the shares of the coarse nodes
-        upper left, upper right, lower left and lower right of it.
+        By coarse node. Two for the line nodes east and south of it: its own weight, the other
+        coarse node has the rest. Four for the centre node south-east of it: the weights of the
+        coarse nodes north-west, north-east, south-west and south-east of that.
     rows, columns, stride : int
-        The fine grid's.
+        Of the fine grid.
     coarse_stride : int
         Floats per padded row of the coarse grid.
     diagonal : bool
@@ -61,70 +58,71 @@ class Transfer(NamedTuple):
 
 
 @inline_kernel
-def _even(links: Vector, k: int) -> Any:
-    """Return links k, k + 2, ...; a negative one counts as none."""
-    return larger(load_even(links, k), splat(_ZERO))
+def _every_second(links: Vector, k: int) -> Any:
+    """Return links k, k + 2, ...; negative ones count as 0."""
+    return larger(load_even(links, k), splat(ZERO))
 
 
 @inline_kernel
-def _share(one: Any, other: Any) -> Any:
+def _first_share(one: Any, other: Any) -> Any:
     """Return ``one / (one + other)``, 1 if both are 0."""
-    total, zero = one + other, splat(_ZERO)
-    return at_most(total, zero, splat(_ONE), one / larger(total, splat(_TINY)))
+    total, zero = one + other, splat(ZERO)
+    return at_most(total, zero, splat(ONE), one / larger(total, splat(TINY)))
 
 
 @kernel
-def weigh_between(links: Vector, transfer: Transfer, start: int, stop: int) -> None:
-    """Write the weights of fine nodes between two coarse ones, for coarse rows."""
+def set_line_weights(links: Vector, transfer: Transfer, start: int, stop: int) -> None:
+    """Write the weights of line nodes, for coarse rows."""
     stride = transfer.stride
-    right, down_left, down, down_right = links[0], links[1], links[2], links[3]
+    link_east, link_sw, link_south, link_se = links[0], links[1], links[2], links[3]
     for cy in range(start, stop):
         for cx in range(0, (transfer.columns + 1) // 2, LANES):
-            c = (cy + PAD) * transfer.coarse_stride + cx + PAD
-            k = (2 * cy + PAD) * stride + 2 * cx + PAD
+            c, k = node(transfer.coarse_stride, cy, cx), node(stride, 2 * cy, 2 * cx)
             below = k + stride
-            west, east = _even(right, k), _even(right, k + 1)
-            north, south = _even(down, k), _even(down, below)
+            west, east = _every_second(link_east, k), _every_second(link_east, k + 1)
+            north, south = _every_second(link_south, k), _every_second(link_south, below)
             if transfer.diagonal:
-                west = west + _even(down_right, k - stride) + _even(down_left, k + 1)
-                east = east + _even(down_left, k - stride + 2) + _even(down_right, k + 1)
-                north = north + _even(down_right, k - 1) + _even(down_left, k + 1)
-                south = south + _even(down_left, below) + _even(down_right, below)
-            store(transfer.weights[0], c, _share(west, east))
-            store(transfer.weights[1], c, _share(north, south))
+                west = west + _every_second(link_se, k - stride) + _every_second(link_sw, k + 1)
+                east = east + _every_second(link_sw, k - stride + 2)
+                east = east + _every_second(link_se, k + 1)
+                north = north + _every_second(link_se, k - 1) + _every_second(link_sw, k + 1)
+                south = south + _every_second(link_sw, below) + _every_second(link_se, below)
+            store(transfer.weights[0], c, _first_share(west, east))
+            store(transfer.weights[1], c, _first_share(north, south))
 
 
 @kernel
-def weigh_amid(links: Vector, transfer: Transfer, start: int, stop: int) -> None:
-    """Write the weights of fine nodes amid four coarse ones, for coarse rows."""
-    weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
-    right, down_left, down, down_right = links[0], links[1], links[2], links[3]
-    one, zero = splat(_ONE), splat(_ZERO)
+def set_centre_weights(links: Vector, transfer: Transfer, start: int, stop: int) -> None:
+    """Write the weights of centre nodes, for coarse rows, from those of line nodes."""
+    weights, coarse_stride = transfer.weights, transfer.coarse_stride
+    link_east, link_sw, link_south, link_se = links[0], links[1], links[2], links[3]
+    one, zero = splat(ONE), splat(ZERO)
     for cy in range(start, stop):
         for cx in range(0, (transfer.columns + 1) // 2, LANES):
-            c = (cy + PAD) * coarse_stride + cx + PAD
-            k = (2 * cy + PAD) * stride + 2 * cx + PAD
-            amid = k + stride + 1
-            north, south = _even(down, k + 1), _even(down, amid)
-            west, east = _even(right, amid - 1), _even(right, amid)
+            c, k = node(coarse_stride, cy, cx), node(transfer.stride, 2 * cy, 2 * cx)
+            centre = k + transfer.stride + 1
+            north, south = _every_second(link_south, k + 1), _every_second(link_south, centre)
+            west, east = _every_second(link_east, centre - 1), _every_second(link_east, centre)
             total = north + south + west + east
             nw = ne = sw = se = zero
             if transfer.diagonal:
-                nw, ne = _even(down_right, k), _even(down_left, k + 2)
-                sw, se = _even(down_left, amid), _even(down_right, amid)
+                nw, ne = _every_second(link_se, k), _every_second(link_sw, k + 2)
+                sw, se = _every_second(link_sw, centre), _every_second(link_se, centre)
                 total = total + nw + ne + sw + se
-            inverse = at_most(total, zero, zero, one / larger(total, splat(_TINY)))
-            top, bottom = load(weights[0], c), load(weights[0], c + coarse_stride)
-            left, other = load(weights[1], c), load(weights[1], c + 1)
-            store(weights[2], c, (nw + north * top + west * left) * inverse)
-            store(weights[3], c, (ne + north * (one - top) + east * other) * inverse)
-            store(weights[4], c, (sw + south * bottom + west * (one - left)) * inverse)
-            store(weights[5], c, (se + south * (one - bottom) + east * (one - other)) * inverse)
+            inverse = at_most(total, zero, zero, one / larger(total, splat(TINY)))
+            # the four line nodes around: weight of their western or northern coarse node
+            at_north, at_south = load(weights[0], c), load(weights[0], c + coarse_stride)
+            at_west, at_east = load(weights[1], c), load(weights[1], c + 1)
+            store(weights[2], c, (nw + north * at_north + west * at_west) * inverse)
+            store(weights[3], c, (ne + north * (one - at_north) + east * at_east) * inverse)
+            store(weights[4], c, (sw + south * at_south + west * (one - at_west)) * inverse)
+            last = se + south * (one - at_south) + east * (one - at_east)
+            store(weights[5], c, last * inverse)
 
 
 @inline_kernel
 def _add_link(cell: Vector, link: Real, g0: Real, g1: Real, g2: Real, g3: Real) -> None:
-    """Add the energy ``link * (g0 f0 + g1 f1 + g2 f2 + g3 f3)^2`` to a coarse cell's links."""
+    """Add the energy ``link * (g0 f0 + g1 f1 + g2 f2 + g3 f3)^2`` to the links of a cell."""
     cell[0] -= link * g0 * g1
     cell[1] -= link * g0 * g2
     cell[2] -= link * g0 * g3
@@ -134,44 +132,48 @@ def _add_link(cell: Vector, link: Real, g0: Real, g1: Real, g2: Real, g3: Real) 
 
 
 @inline_kernel
-def _gather_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int) -> None:
-    """Sum the fine links of a coarse cell, its right and lower border left out."""
+def _sum_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int) -> None:
+    """Sum the fine links in the cell of four coarse nodes, without its eastern and southern side.
+
+    The corners are numbered 0 and 1 in the north, 2 and 3 in the south; ``cell`` gets the links
+    0-1, 0-2, 0-3, 1-2, 1-3 and 2-3. ``n0`` is the weight of corner 0 in the northern line node,
+    and so on; ``m0`` to ``m3`` are those of the centre node.
+    """
     weights, stride = transfer.weights, transfer.stride
-    right, down_left, down, down_right = links[0], links[1], links[2], links[3]
-    amid, below = k + stride + 1, k + stride
+    link_east, link_sw, link_south, link_se = links[0], links[1], links[2], links[3]
+    centre, below = k + stride + 1, k + stride
     n0, s2 = weights[0, c], weights[0, c + transfer.coarse_stride]
     w0, e1 = weights[1, c], weights[1, c + 1]
-    n1, s3, w2, e3 = _ONE - n0, _ONE - s2, _ONE - w0, _ONE - e1
+    n1, s3, w2, e3 = ONE - n0, ONE - s2, ONE - w0, ONE - e1
     m0, m1, m2, m3 = weights[2, c], weights[3, c], weights[4, c], weights[5, c]
     cell[:] = 0
-    _add_link(cell, down[k + 1], m0 - n0, m1 - n1, m2, m3)
-    _add_link(cell, down[amid], m0, m1, m2 - s2, m3 - s3)
-    _add_link(cell, right[amid - 1], m0 - w0, m1, m2 - w2, m3)
-    _add_link(cell, right[amid], m0, m1 - e1, m2, m3 - e3)
-    cell[0] += right[k] * n1 * n1 + right[k + 1] * n0 * n0
-    cell[1] += down[k] * w2 * w2 + down[below] * w0 * w0
+    _add_link(cell, link_south[k + 1], m0 - n0, m1 - n1, m2, m3)
+    _add_link(cell, link_south[centre], m0, m1, m2 - s2, m3 - s3)
+    _add_link(cell, link_east[centre - 1], m0 - w0, m1, m2 - w2, m3)
+    _add_link(cell, link_east[centre], m0, m1 - e1, m2, m3 - e3)
+    cell[0] += link_east[k] * n1 * n1 + link_east[k + 1] * n0 * n0
+    cell[1] += link_south[k] * w2 * w2 + link_south[below] * w0 * w0
     if transfer.diagonal:
-        _add_link(cell, down_right[k], m0 - _ONE, m1, m2, m3)
-        _add_link(cell, down_left[k + 2], m0, m1 - _ONE, m2, m3)
-        _add_link(cell, down_left[amid], m0, m1, m2 - _ONE, m3)
-        _add_link(cell, down_right[amid], m0, m1, m2, m3 - _ONE)
-        _add_link(cell, down_left[k + 1], n0 - w0, n1, -w2, _ZERO)
-        _add_link(cell, down_right[k + 1], n0, n1 - e1, _ZERO, -e3)
-        _add_link(cell, down_right[below], w0, _ZERO, w2 - s2, -s3)
-        _add_link(cell, down_left[below + 2], _ZERO, e1, -s2, e3 - s3)
+        _add_link(cell, link_se[k], m0 - ONE, m1, m2, m3)
+        _add_link(cell, link_sw[k + 2], m0, m1 - ONE, m2, m3)
+        _add_link(cell, link_sw[centre], m0, m1, m2 - ONE, m3)
+        _add_link(cell, link_se[centre], m0, m1, m2, m3 - ONE)
+        _add_link(cell, link_sw[k + 1], n0 - w0, n1, -w2, ZERO)
+        _add_link(cell, link_se[k + 1], n0, n1 - e1, ZERO, -e3)
+        _add_link(cell, link_se[below], w0, ZERO, w2 - s2, -s3)
+        _add_link(cell, link_sw[below + 2], ZERO, e1, -s2, e3 - s3)
 
 
 @kernel
 def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop: int) -> None:
     """Write the links (4, coarse nodes) of coarse rows."""
     coarse_stride = transfer.coarse_stride
-    coarse[:, (start + PAD) * coarse_stride : (stop + PAD) * coarse_stride] = _ZERO
+    coarse[:, (start + PAD) * coarse_stride : (stop + PAD) * coarse_stride] = ZERO
     cell = np.zeros(6, np.float32)
     for cy in range(start - 1, stop):
         for cx in range((transfer.columns + 1) // 2):
-            c = (cy + PAD) * coarse_stride + cx + PAD
-            k = (2 * cy + PAD) * transfer.stride + 2 * cx + PAD
-            _gather_cell(cell, links, transfer, k, c)
+            c, k = node(coarse_stride, cy, cx), node(transfer.stride, 2 * cy, 2 * cx)
+            _sum_cell(cell, links, transfer, k, c)
             if cy >= start:
                 coarse[0, c] += cell[0]
                 coarse[2, c] += cell[1]
@@ -186,20 +188,19 @@ def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop
 def restrict(fine: Vector, transfer: Transfer, coarse: Vector, start: int, stop: int) -> None:
     """Write ``P^T fine`` of coarse rows."""
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
-    across, along, one = weights[0], weights[1], splat(_ONE)
+    at_east, at_south, one = weights[0], weights[1], splat(ONE)
     for cy in range(start, stop):
         for cx in range(0, (transfer.columns + 1) // 2, LANES):
-            c = (cy + PAD) * coarse_stride + cx + PAD
-            k = (2 * cy + PAD) * stride + 2 * cx + PAD
-            above, before, after = c - coarse_stride, k - stride, k + stride
-            value = load_even(fine, k) + load(across, c) * load_odd(fine, k)
-            value = value + (one - load(across, c - 1)) * load_odd(fine, k - 2)
-            value = value + load(along, c) * load_even(fine, after)
-            value = value + (one - load(along, above)) * load_even(fine, before)
-            value = value + load(weights[2], c) * load_odd(fine, after)
-            value = value + load(weights[3], c - 1) * load_odd(fine, after - 2)
-            value = value + load(weights[4], above) * load_odd(fine, before)
-            value = value + load(weights[5], above - 1) * load_odd(fine, before - 2)
+            c, k = node(coarse_stride, cy, cx), node(stride, 2 * cy, 2 * cx)
+            c_above, above, below = c - coarse_stride, k - stride, k + stride
+            value = load_even(fine, k) + load(at_east, c) * load_odd(fine, k)
+            value = value + (one - load(at_east, c - 1)) * load_odd(fine, k - 2)
+            value = value + load(at_south, c) * load_even(fine, below)
+            value = value + (one - load(at_south, c_above)) * load_even(fine, above)
+            value = value + load(weights[2], c) * load_odd(fine, below)
+            value = value + load(weights[3], c - 1) * load_odd(fine, below - 2)
+            value = value + load(weights[4], c_above) * load_odd(fine, above)
+            value = value + load(weights[5], c_above - 1) * load_odd(fine, above - 2)
             store(coarse, c, value)
 
 
@@ -207,22 +208,22 @@ def restrict(fine: Vector, transfer: Transfer, coarse: Vector, start: int, stop:
 def prolong(coarse: Vector, transfer: Transfer, fine: Vector, start: int, stop: int) -> None:
     """Add ``P coarse`` to the fine nodes of coarse rows."""
     weights, stride, coarse_stride = transfer.weights, transfer.stride, transfer.coarse_stride
-    one = splat(_ONE)
+    one = splat(ONE)
     for cy in range(start, stop):
         for cx in range(0, (transfer.columns + 1) // 2, LANES):
-            c = (cy + PAD) * coarse_stride + cx + PAD
-            k = (2 * cy + PAD) * stride + 2 * cx + PAD
+            c, k = node(coarse_stride, cy, cx), node(stride, 2 * cy, 2 * cx)
             c0, c1 = load(coarse, c), load(coarse, c + 1)
-            share = load(weights[0], c)
-            odd = load_odd(fine, k) + share * c0 + (one - share) * c1
+            weight = load(weights[0], c)
+            odd = load_odd(fine, k) + weight * c0 + (one - weight) * c1
             store_pairs(fine, k, load_even(fine, k) + c0, odd)
             if 2 * cy + 1 < transfer.rows:
                 c2, c3 = load(coarse, c + coarse_stride), load(coarse, c + coarse_stride + 1)
                 k += stride
-                share = load(weights[1], c)
-                even = load_even(fine, k) + share * c0 + (one - share) * c2
+                weight = load(weights[1], c)
+                even = load_even(fine, k) + weight * c0 + (one - weight) * c2
                 odd = load_odd(fine, k) + load(weights[2], c) * c0 + load(weights[3], c) * c1
                 odd = odd + load(weights[4], c) * c2 + load(weights[5], c) * c3
                 store_pairs(fine, k, even, odd)
-        beyond = (2 * cy + PAD) * stride + PAD + transfer.columns
-        fine[beyond] = fine[beyond + stride] = _ZERO
+        # in a grid of odd width, pairs reach one node into the padding
+        beyond = node(stride, 2 * cy, transfer.columns)
+        fine[beyond] = fine[beyond + stride] = ZERO

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weighted least squares filter: measured disparities become a dense map (eq. 11-15)."""
+"""Weighted least squares filter: from measured disparities to a dense map (eq. 11-15)."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.holes.uncertainty import assess_holes
+from binocular_recon.stereo.holes import assess_holes
 from binocular_recon.stereo.validity import Validity
 
-# Distance kept from the limits: more than two float32 steps of any disparity up to 4096 px.
+# Filtered disparities stay this far inside the limits: more than two float32 steps at 4096 px.
 LIMIT_MARGIN_PX = 2.0**-10
-# Standard deviation that no disparity falls below.
+# Lower limit of the standard deviation.
 LEAST_SIGMA_PX = 0.05
 # Variance of rounding to whole pixels.
 WHOLE_PIXEL_VARIANCE = 1 / 12
-# Bits that say why a pixel is not measured.
+# The bits that state why a pixel was not measured.
 _REASONS = ~np.uint8(Validity.MEASURED | Validity.FILLED | Validity.EXTRAPOLATED)
 
 
@@ -57,15 +57,16 @@ class Filtered:
 
 
 class DisparityFilter:
-    """Filter frame after frame: the solver's memory, and with ``wls_video`` its start, are kept.
+    """Filter the frames of a stream: the solver's memory is reused from frame to frame.
 
-    A frame of another size makes new memory and forgets the last solution. Frames may come from
+    With ``wls_video`` the last solution is reused too, as the start of the next one. A frame of
+    another size allocates new memory and discards the last solution. Frames may be filtered in
     several threads at once.
 
     Parameters
     ----------
     config : FilterConfig
-        Weights and tolerance.
+        Options of the filter.
 
     """
 
@@ -89,11 +90,11 @@ class DisparityFilter:
         measured = _measured(disparity_px, confidence, limits_px)
         equations = normal_equations(measured, confidence, guide, self.config)
         system = self._system(*measured.shape)
-        system.assemble(equations.weight, equations.link_x, equations.link_y)
-        guess = self._guess(measured.shape) if initial is None else initial
-        if guess is not None and not np.isfinite(guess).all():
-            guess = None
-        solution = system.solve(equations.data, self.config.wls_tolerance_px, guess)
+        system.assemble(equations.weight, equations.link_east, equations.link_south)
+        start = self._last_solution(measured.shape) if initial is None else initial
+        if start is not None and not np.isfinite(start).all():
+            start = None
+        solution = system.solve(equations.data, self.config.wls_tolerance_px, start)
         low, high = limits_px
         holes, validity = assess_holes(measured, solution.values)
         if reasons is not None:
@@ -106,14 +107,14 @@ class DisparityFilter:
         return Filtered(filtered, sigma, validity, solution.iterations, solution.error_estimate)
 
     def _system(self, rows: int, columns: int) -> System:
-        """Return memory that no other thread uses."""
+        """Return a solver that no other thread uses."""
         with suppress(IndexError):
             system = self._spare.pop()
             if system.shape == (rows, columns):
                 return system
         return System(rows, columns)
 
-    def _guess(self, shape: tuple[int, ...]) -> FloatImage | None:
+    def _last_solution(self, shape: tuple[int, ...]) -> FloatImage | None:
         last = self._last
         return last if last is not None and last.shape == shape else None
 
@@ -128,7 +129,7 @@ def filter_disparity(
     reasons: ByteImage | None = None,
     initial: FloatImage | None = None,
 ) -> Filtered:
-    """Denoise a disparity map and fill its holes, preserving the guide's edges.
+    """Denoise a disparity map and fill its holes, preserving the edges of the guide.
 
     Parameters
     ----------
@@ -137,17 +138,17 @@ def filter_disparity(
     confidence : (H, W) float32
         Confidence of the match in [0, 1]; 0 or NaN = none.
     guide : (H, W) float32
-        Left picture in grey levels of 255; not used if ``config.wls_guide`` is 'disparity'.
+        Left image, grey levels 0..255; not used if ``config.wls_guide`` is 'disparity'.
     config : FilterConfig
-        Weights and tolerance.
+        Options of the filter.
     limits_px : (float, float)
         Smallest and largest disparity searched.
     reasons : (H, W) uint8, optional
-        `Match.validity`: why pixels have no disparity; passed on in the result.
+        `Match.validity`: why pixels have no match; copied into the result.
     initial : (H, W) float32, optional
-        A guess, such as the last frame's result: the solver takes its first step towards it, as
-        far as that is an improvement. The result is within the tolerance of the exact solution
-        whatever the guess. Not used unless finite.
+        An approximate solution, such as the previous frame's result, towards which the solver
+        takes its first step. It saves iterations; the result is within the tolerance of the exact
+        solution in any case. Ignored unless all finite.
 
     Returns
     -------
@@ -163,13 +164,14 @@ def filter_disparity(
     -----
     Minimises eq. 11; its normal equations (C + lambda L_g) f = C b (eq. 13) are solved to
     ``config.wls_tolerance_px``. Departures from the paper, each with an option that turns it
-    off: c is the confidence of the match; pixels without a match take part with a small
-    confidence in what lies behind them; the gradient term of eq. 12 grows with steps of the
-    disparity too, since objects often border on a background of the same grey.
+    off: c is the confidence of the match; pixels without a match have the disparity of the
+    background, with a small confidence; the gradient term of eq. 12 grows with steps of the
+    disparity too, because objects often have the same grey level as the background.
 
-    The variance of a pixel is that of its match, plus the scatter of the data around the solution
-    nearby, at least 1/12 px^2 if all data are whole pixels: where the solution follows rounded
-    data their scatter does not show it. Without a match see `holes.assess_holes`.
+    The variance of a pixel is that of its match plus the scatter of the data around the solution
+    nearby. The scatter is at least 1/12 px^2 if all data are whole pixels, because a solution that
+    follows rounded data does not show their error. For pixels without a match see
+    `holes.assess_holes`.
 
     """
     wls = DisparityFilter(config)
@@ -181,14 +183,14 @@ def filter_disparity(
 def _measured(
     disparity_px: FloatImage, confidence: FloatImage, limits_px: tuple[float, float]
 ) -> FloatImage:
-    """Return the disparity, NaN where there is none to be used."""
+    """Return the disparity; NaN where it is not valid."""
     low, high = limits_px
     valid = (disparity_px >= low) & (disparity_px <= high) & (confidence > 0)
     if not valid.any():
         raise ImageError(
             f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
-            ' check that the pictures overlap, are rectified, have texture and are larger than the'
-            ' correlation window, and the disparity range'
+            ' check the disparity range, and that the images are rectified, overlap, have texture'
+            ' and are larger than the correlation window'
         )
     return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
 
@@ -196,7 +198,7 @@ def _measured(
 def _sigma(
     measured: FloatImage, confidence: FloatImage, filtered: FloatImage, holes: FloatImage
 ) -> FloatImage:
-    """Return the standard deviation of every pixel."""
+    """Return the standard deviation of every pixel, given the variance of unmatched ones."""
     sigma = np.empty_like(measured)
     terms = kernels.SigmaTerms(
         measured,
@@ -218,5 +220,5 @@ def _check_sizes(disparity_px: FloatImage, **others: FloatImage | None) -> None:
         if image is not None and image.shape != disparity_px.shape:
             raise ImageError(
                 f'disparity is {disparity_px.shape} and {name} {image.shape} (rows, columns);'
-                ' both must come from the same picture'
+                ' both must belong to the same image'
             )

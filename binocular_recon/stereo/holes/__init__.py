@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holes of a disparity map: what is filled, from where, and what remains unexplained.
+"""Holes of a disparity map: how they are filled, and which ones half-occlusion does not explain.
 
-`completion` gives pixels without a match the disparity of what lies behind them; the matcher and
-the filter both use it. Exports its functions and the kernels for runs and regions of NaN.
+`completion` gives pixels without a match the disparity of the background; the matcher and the
+filter both use it. Exports its functions, and kernels for runs and regions of NaN.
 """
 
 from typing import TYPE_CHECKING
@@ -11,26 +11,28 @@ from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from binocular_recon.stereo.holes._hole_kernels import (
-        count_holes,
-        fill_from_nearest,
-        fill_holes,
+        copy_from_half,
+        count_hole_pixels,
     )
     from binocular_recon.stereo.holes.completion import (
         COMPLETED_CONFIDENCE,
         complete,
         copy_nearest_rows,
         fill_from_background,
+        fill_from_nearest,
         unexplained_holes,
     )
+    from binocular_recon.stereo.holes.uncertainty import assess_holes
 
 __all__ = [
     'COMPLETED_CONFIDENCE',
+    'assess_holes',
     'complete',
+    'copy_from_half',
     'copy_nearest_rows',
-    'count_holes',
+    'count_hole_pixels',
     'fill_from_background',
     'fill_from_nearest',
-    'fill_holes',
     'unexplained_holes',
 ]
 

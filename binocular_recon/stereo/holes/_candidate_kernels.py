@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that compare a filled pixel with the nearest measured ones around it."""
+"""Kernels that compare filled pixels with the nearest measured ones around them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 def _add_candidate(
     candidate: Array, value: Array, hole: Array, squares: Array, counts: Array
 ) -> None:
-    """Add the squared differences of one direction's candidates where there is a hole."""
+    """Add the squared differences from the candidates of one direction where there is a hole."""
     for x in range(len(value)):
         difference = candidate[x] - value[x]
         # a comparison with NaN is false
@@ -33,7 +33,7 @@ def _keep_nearest(row: Array, candidate: Array) -> None:
 def compare_along_rows(
     measured: Array, filled: Array, squares: Array, counts: Array, start: int, stop: int
 ) -> None:
-    """Set the sums over the nearest measured pixels to the left and to the right."""
+    """Set the sums to those over the nearest measured pixels in the west and in the east."""
     width = measured.shape[1]
     candidate = np.empty(width, np.float32)
     for y in range(start, stop):
@@ -52,7 +52,7 @@ def compare_along_rows(
 def compare_along_columns(
     measured: Array, filled: Array, squares: Array, counts: Array, start: int, stop: int
 ) -> None:
-    """Add to the sums, in columns ``start`` to ``stop``, those above and below."""
+    """Add the nearest measured pixels in the north and south, in columns ``start`` to ``stop``."""
     height = len(measured)
     columns = slice(start, stop)
     candidate = np.empty(stop - start, np.float32)

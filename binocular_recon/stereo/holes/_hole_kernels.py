@@ -1,85 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of holes, runs and regions of NaN in a disparity map."""
+"""Kernels of holes: runs and regions of NaN in a disparity map."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
+
+_NAN = np.float32(np.nan)
 
 
-@kernel
-def _end_of_hole(row: Array, x: int) -> int:
-    """Return the first column from ``x`` on that is not NaN."""
+@inline_kernel
+def _next_hole(row: Array, x: int) -> tuple[int, int]:
+    """Return where the first run of NaN from column ``x`` on begins, and where it ends."""
+    while x < len(row) and not np.isnan(row[x]):
+        x += 1
+    begin = x
     while x < len(row) and np.isnan(row[x]):
         x += 1
-    return x
+    return begin, x
+
+
+@inline_kernel
+def _ends(row: Array, begin: int, end: int) -> Any:
+    """Return the values before and after a run; NaN beyond the image."""
+    before = row[begin - 1] if begin > 0 else _NAN
+    after = row[end] if end < len(row) else _NAN
+    return before, after
 
 
 @kernel
-def fill_strip(disparity: Array, filled: Array, start: int, stop: int) -> None:
-    """Give each run of NaN the smaller disparity of its two ends: the background's."""
+def fill_background_strip(disparity: Array, filled: Array, start: int, stop: int) -> None:
+    """Give each run of NaN the smaller disparity of its two ends: that of the background."""
     width = disparity.shape[1]
     for y in range(start, stop):
-        x = 0
-        before = np.float32(np.nan)
+        row, x = disparity[y], 0
         while x < width:
-            if not np.isnan(disparity[y, x]):
-                before = disparity[y, x]
-                filled[y, x] = before
-                x += 1
-                continue
-            end = _end_of_hole(disparity[y], x)
-            after = disparity[y, end] if end < width else before
-            if np.isnan(before):
-                before = after
-            filled[y, x:end] = min(before, after)
+            begin, end = _next_hole(row, x)
+            filled[y, x:begin] = row[x:begin]
+            before, after = _ends(row, begin, end)
+            before = after if np.isnan(before) else before
+            after = before if np.isnan(after) else after
+            filled[y, begin:end] = min(before, after)
             x = end
 
 
 @kernel
-def fill_from_nearest(measured: Array, filled: Array, start: int, stop: int) -> None:
-    """Give each NaN the nearest value of its row; the left one of two equally near."""
+def fill_nearest_strip(measured: Array, filled: Array, start: int, stop: int) -> None:
+    """Give each NaN the nearest value of its row; of two equally near, the left one."""
     width = measured.shape[1]
     for y in range(start, stop):
-        row, out, x = measured[y], filled[y], 0
+        row, x = measured[y], 0
         while x < width:
-            out[x] = row[x]
-            if not np.isnan(row[x]):
-                x += 1
-                continue
-            end = _end_of_hole(row, x)
-            middle = (x + end + 1) // 2 if end < width else end
-            if x == 0:
-                middle = 0
-            out[x:middle] = row[x - 1] if x else np.float32(np.nan)
-            out[middle:end] = row[end] if end < width else np.float32(np.nan)
+            begin, end = _next_hole(row, x)
+            filled[y, x:begin] = row[x:begin]
+            before, after = _ends(row, begin, end)
+            middle = (begin + end + 1) // 2 if end < width else end
+            middle = middle if begin > 0 else 0
+            filled[y, begin:middle] = before
+            filled[y, max(begin, middle) : end] = after
             x = end
 
 
 @kernel
 def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, stop: int) -> None:
-    """Mark runs of NaN wider than what the step between their ends hides, by ``slack`` px."""
-    width = disparity.shape[1]
+    """Mark runs of NaN that are more than ``slack`` px wider than half-occlusion explains."""
+    width, zero = disparity.shape[1], np.float32(0)
     for y in range(start, stop):
-        x = 0
-        # columns left of a picture's disparity, or right of a negative one, are out of sight
-        before = np.float32(0)
+        row, x = disparity[y], 0
         while x < width:
-            marks[y, x] = False
-            if not np.isnan(disparity[y, x]):
-                before = disparity[y, x]
-                x += 1
-                continue
-            end = _end_of_hole(disparity[y], x)
-            after = disparity[y, end] if end < width else max(before, np.float32(0))
-            marks[y, x:end] = end - x > after - before + slack
+            begin, end = _next_hole(row, x)
+            marks[y, x:begin] = False
+            # the right camera does not see the first d columns, d the disparity, or the last -d
+            before = row[begin - 1] if begin > 0 else zero
+            after = row[end] if end < width else max(before, zero)
+            marks[y, begin:end] = end - begin > after - before + slack
             x = end
 
 
 @kernel
 def raise_to_columns(disparity: Array, marks: Array, filled: Array, start: int, stop: int) -> None:
-    """Raise marked pixels of columns ``start`` to ``stop`` to the smaller of the column's ends."""
+    """Raise marked pixels to the smaller end of their hole along columns ``start`` to ``stop``."""
     height = len(disparity)
     above = np.empty((height, stop - start), np.float32)
     nearest = np.full(stop - start, np.float32(np.nan))
@@ -102,20 +105,22 @@ def raise_to_columns(disparity: Array, marks: Array, filled: Array, start: int, 
 
 
 @kernel
-def count_holes(disparity: Array, half: Array, labels: Array, size: Array, seen: Array) -> None:
-    """Count the pixels of each labelled hole, and how many of them ``half`` sees."""
+def count_hole_pixels(
+    disparity: Array, half: Array, labels: Array, size: Array, covered: Array
+) -> None:
+    """Count the pixels of each labelled hole, and those that ``half`` has a disparity for."""
     for y in range(disparity.shape[0]):
         for x in range(disparity.shape[1]):
             if np.isnan(disparity[y, x]):
                 size[labels[y, x]] += 1
-                seen[labels[y, x]] += not np.isnan(half[y // 2, x // 2])
+                covered[labels[y, x]] += not np.isnan(half[y // 2, x // 2])
 
 
 @kernel
-def fill_holes(
+def copy_from_half(
     labels: Array, fill: Array, half: tuple[Array, Array], whole: tuple[Array, Array]
 ) -> None:
-    """Double what half resolution says, disparity and sigma, of the holes to ``fill``."""
+    """Copy disparity and sigma from half resolution, doubled, into the holes to ``fill``."""
     for y in range(labels.shape[0]):
         for x in range(labels.shape[1]):
             if fill[labels[y, x]] and not np.isnan(half[0][y // 2, x // 2]):

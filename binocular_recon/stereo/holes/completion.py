@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Completion: pixels without a match take the background's disparity."""
+"""Completion: pixels without a match take the disparity of the background."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -11,17 +13,18 @@ from scipy.ndimage import median_filter
 from binocular_recon._jit import over_strips
 from binocular_recon.images import FloatImage, Mask
 from binocular_recon.stereo.holes._hole_kernels import (
-    fill_strip,
+    fill_background_strip,
+    fill_nearest_strip,
     mark_unexplained,
     raise_to_columns,
 )
 
-# Confidence of a completed pixel: a standard deviation of about 1 px (see `matching`).
+# Confidence of a completed pixel: a standard deviation of about 1 px (see `stereo.confidence`).
 COMPLETED_CONFIDENCE = 0.06
-# How much wider than its cause a run of hidden pixels is: windows see a border from afar.
-HIDDEN_SLACK_PX = 8
-# A row's slope is that of so many pixels next to its hole, without those off by more than a
-# tolerance and a steepest slope; then the median of so many rows.
+# Half-occluded regions are matched this much too wide, because windows reach across the edge.
+OCCLUSION_SLACK_PX = 8
+# The slope of a row is taken from this many pixels next to its hole, without those that are off by
+# more than the tolerance and the steepest slope; then the median over this many rows.
 SLOPE_PX = 30
 SLOPE_TOLERANCE_PX = 1.5
 STEEPEST_SLOPE = 0.08
@@ -40,14 +43,15 @@ def complete(
     confidence : (H, W) float32
         Confidence of each pixel; 0 = none.
     extrapolate : bool
-        Columns out of sight of the right camera continue the slope of the surface next to them.
+        Whether columns that the right camera does not see continue the slope of the surface next
+        to them.
 
     Returns
     -------
     disparity_px : (H, W) float32
-        Holes filled from the background along rows and smoothed across them by a median; measured
-        disparities are kept. A run wider than what the step between its ends hides takes the
-        background along the column if that is nearer. All NaN if nothing was measured.
+        Holes are filled from the background along rows and smoothed across rows by a median;
+        measured disparities are kept. In runs that half-occlusion does not explain, the background
+        along the column is taken where it is nearer. All NaN if nothing was measured.
     confidence : (H, W) float32
         `COMPLETED_CONFIDENCE` in holes.
 
@@ -56,11 +60,7 @@ def complete(
     measured = np.where(holes, np.float32(np.nan), disparity_px)
     filled = fill_from_background(measured)
     unexplained = unexplained_holes(measured)
-    over_strips(
-        lambda start, stop: raise_to_columns(measured, unexplained, filled, start, stop),
-        filled.shape[1],
-        strip=128,
-    )
+    over_strips(raise_to_columns, filled.shape[1], measured, unexplained, filled, strip=128)
     if np.isnan(filled[0, 0]):
         return filled, np.zeros_like(confidence)
     if extrapolate:
@@ -80,26 +80,38 @@ def fill_from_background(disparity_px: FloatImage) -> FloatImage:
     Returns
     -------
     filled_px : (H, W) float32
-        Each run of holes has the smaller disparity of its two ends, at the picture's border that
-        of its only one: what a pair does not see twice lies behind what hides it. A row without
-        any disparity takes the nearest row that has one; all NaN if there is none.
+        Each hole of a row has the smaller disparity of its two ends, at the image border that of
+        its only one, because half-occluded surfaces lie behind what occludes them. A row without
+        any disparity is a copy of the nearest row with one; all NaN if there is none.
 
     """
+    return _filled_rows(fill_background_strip, disparity_px)
+
+
+def fill_from_nearest(disparity_px: FloatImage) -> FloatImage:
+    """Fill each hole with the nearest disparity of its row; of two equally near, the left one.
+
+    Takes and returns the same arrays as `fill_from_background`, also for rows without disparities.
+    """
+    return _filled_rows(fill_nearest_strip, disparity_px)
+
+
+def _filled_rows(fill_strip: Callable[..., None], disparity_px: FloatImage) -> FloatImage:
     filled = np.empty_like(disparity_px)
-    over_strips(lambda start, stop: fill_strip(disparity_px, filled, start, stop), len(filled))
+    over_strips(fill_strip, len(filled), disparity_px, filled)
     copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
     return filled
 
 
 def copy_nearest_rows(image: FloatImage, *, empty: Mask) -> None:
-    """Replace empty rows, in place, by the nearest of the others."""
+    """Replace empty rows, in place, by copies of the nearest other row."""
     rows, gaps = np.flatnonzero(~empty), np.flatnonzero(empty)
     if gaps.size and rows.size:
         image[gaps] = image[rows[np.abs(gaps[:, None] - rows).argmin(axis=1)]]
 
 
 def unexplained_holes(disparity_px: FloatImage) -> Mask:
-    """Return where runs of holes along rows are wider than what hides them.
+    """Return where holes are wider, along rows, than half-occlusion explains.
 
     Parameters
     ----------
@@ -109,31 +121,27 @@ def unexplained_holes(disparity_px: FloatImage) -> Mask:
     Returns
     -------
     unexplained : (H, W) bool
-        The right camera does not see as many columns as the disparity rises by from a run's left
-        end to its right end; wider runs, by `HIDDEN_SLACK_PX`, have another cause: most often no
-        texture.
+        A half-occluded region is as wide as the disparity rises from its left end to its right
+        end. Holes that are wider by more than `OCCLUSION_SLACK_PX` have another cause, most often
+        low texture.
 
     """
     unexplained = np.empty(disparity_px.shape, np.bool_)
-    over_strips(
-        lambda start, stop: mark_unexplained(
-            disparity_px, HIDDEN_SLACK_PX, unexplained, start, stop
-        ),
-        len(unexplained),
-    )
+    rows = len(unexplained)
+    over_strips(mark_unexplained, rows, disparity_px, OCCLUSION_SLACK_PX, unexplained)
     return unexplained
 
 
 def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
-    """Continue slopes, in place, into the columns left of what the right camera sees.
+    """Continue slopes, in place, into the columns on the left that the right camera does not see.
 
-    The median slope of nearby rows, less as those differ: it vanishes where their spread (1.48
-    times the median deviation, a standard deviation if normal) reaches it.
+    The slope is the median of nearby rows, reduced as these differ, down to 0 where their spread
+    (1.48 times the median absolute deviation, a robust standard deviation) reaches it.
     """
     known = ~np.isnan(measured_px)
     first = known.argmax(axis=1)
     start = np.take_along_axis(measured_px, first[:, None], 1)[:, 0]
-    rows = np.flatnonzero((first > 0) & (first <= start + HIDDEN_SLACK_PX))
+    rows = np.flatnonzero((first > 0) & (first <= start + OCCLUSION_SLACK_PX))
     if not rows.size:
         return
     slopes = _row_slopes(measured_px[rows], first[rows])
@@ -146,7 +154,7 @@ def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
 
 
 def _row_slopes(measured_px: FloatImage, first: npt.NDArray[np.intp]) -> FloatImage:
-    """Return each row's slope in the pixels from ``first`` on; 0 where they are too few."""
+    """Return the slope of each row in the pixels from ``first`` on; 0 where these are too few."""
     x = np.arange(SLOPE_PX, dtype=np.float32)
     columns = first[:, None] + np.arange(SLOPE_PX)
     inside = columns < measured_px.shape[1]

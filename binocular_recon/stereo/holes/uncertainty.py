@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The standard deviation of filled pixels.
 
-A filled disparity is right, or wrong by as much as surfaces differ: its errors have two modes and
-no noise model. What is known of a hole is how much the measured pixels around it disagree with
-what it was filled with, how far they are, and how much depth varies nearby and in the image. The
-standard deviation grows with each of these, so that errors over it have an RMS of about 1 on real
-scenes, outliers included. All terms scale with the disparities, so no scene sets a unit.
+A filled disparity is either right, or wrong by the distance between two surfaces: its errors are
+bimodal and follow no noise model. What can be observed is how much the measured pixels around a
+hole differ from the filled value, how far away they are, and how much disparities vary nearby and
+in the whole image. The variance is a weighted sum of these terms, with weights chosen on real
+scenes so that errors divided by sigma have an RMS of about 1, outliers included. All terms scale
+with the disparities, so the weights do not depend on the scale of a scene.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from binocular_recon.stereo.holes.completion import unexplained_holes
 from binocular_recon.stereo.validity import Validity
 
 # Factors on the RMS difference from the nearest measured pixels in four directions, on the
-# distance from the nearest one, on the spread of disparities nearby, and on that in the image,
-# where occlusion explains the hole and where nothing does.
+# distance from the nearest one, on the standard deviation of disparities nearby, and on that in
+# the image, for holes that half-occlusion explains and for others.
 CANDIDATES, DISTANCE, NEARBY, OCCLUDED, UNEXPLAINED = 0.35, 0.27, 0.50, 0.20, 0.50
-# Nearby is a square of this share of the image's width.
+# "Nearby" is a square of this share of the image width.
 NEARBY_SHARE = 1 / 8
-# Spread nearby is smooth: it is taken from every so many rows and columns.
+# The variance nearby is smooth, so it is computed from every fourth row and column.
 _STRIDE = 4
 
 
 def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatImage, ByteImage]:
-    """Return the variance of filled pixels, and which are filled and which extrapolated.
+    """Return the variance of unmatched pixels, and which are filled and which extrapolated.
 
     Parameters
     ----------
@@ -45,15 +46,15 @@ def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatI
     Returns
     -------
     variance : (H, W) float32
-        Variance of filled pixels, px^2; of measured ones meaningless.
+        Variance of unmatched pixels, px^2; meaningless in measured ones.
     validity : (H, W) uint8
         `Validity.MEASURED`, ``FILLED`` or ``EXTRAPOLATED``.
 
     Notes
     -----
-    Extrapolated is what no measured pixels enclose, along its row or its column, and a hole that
-    occlusion does not explain and that reaches the image's border: sky, a blank wall, water. That
-    may lie anywhere behind what is around it, which no standard deviation says.
+    A pixel is extrapolated if it is not between measured pixels of its row or of its column, or if
+    its hole reaches the image border and half-occlusion does not explain it: sky, a uniform wall,
+    water. Such a surface may be anywhere, which no standard deviation can express.
 
     """
     height, width = measured_px.shape
@@ -71,9 +72,9 @@ def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatI
     variance += np.where(
         unexplained, np.float32(UNEXPLAINED**2 * overall), np.float32(OCCLUDED**2 * overall)
     )
-    open_ = _reaching_the_border(unexplained)
+    extrapolated = _reaching_the_border(unexplained) | ~_enclosed(~hole)
     validity = np.full(measured_px.shape, Validity.FILLED, np.uint8)
-    validity[open_ | ~_enclosed(~hole)] = Validity.EXTRAPOLATED
+    validity[extrapolated] = Validity.EXTRAPOLATED
     validity[~hole] = Validity.MEASURED
     return variance, validity
 
@@ -85,14 +86,14 @@ def _enclosed(measured: Mask) -> Mask:
         some = np.asarray(lines.any(axis=1))
         first, after = lines.argmax(axis=1), lines[:, ::-1].argmax(axis=1)
         last = lines.shape[1] - 1 - after
-        place = np.arange(lines.shape[1])
-        inside |= some[:, None] & (place >= first[:, None]) & (place <= last[:, None])
+        index = np.arange(lines.shape[1])
+        inside |= some[:, None] & (index >= first[:, None]) & (index <= last[:, None])
     return enclosed
 
 
 def _reaching_the_border(region: Mask) -> Mask:
-    """Return the connected parts of a region that reach the image's border."""
-    # every second row and column are enough to tell, and four times as fast
+    """Return the connected parts of a region that reach the image border."""
+    # every second row and column suffice, and are four times as fast
     _, labels = cv2.connectedComponents(region[::2, ::2].astype(np.uint8), connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     reaching = np.zeros(labels.max() + 1, np.bool_)
@@ -104,7 +105,7 @@ def _reaching_the_border(region: Mask) -> Mask:
 
 
 def _spread(measured_px: FloatImage) -> tuple[FloatImage, float]:
-    """Return the variance of measured disparities around each pixel, and of all, px^2."""
+    """Return the variance of the measured disparities around each pixel, and of all, px^2."""
     samples = measured_px[::_STRIDE, ::_STRIDE]
     known: Mask = np.isfinite(samples)
     if not known.any():

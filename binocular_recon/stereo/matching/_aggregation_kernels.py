@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels of semi-global aggregation of NCC costs along paths (Hirschmueller 2008).
 
-A cost is one byte, 0 (score 1) to 252 (score 0 or less); paths add an eighth of it, so that the
-sum over two paths fits a byte. Of sums over three paths beyond 255 only that they are large is
-kept.
+A cost is one byte, from 0 (score 1) to 252 (score 0 or less); paths add an eighth of it, so that
+the sum over two paths fits in a byte. The sum over three paths saturates at 255.
 
-Rows pass once, from the top: there is no volume. Blocks of rows are aggregated along both
-directions of the rows, side by side, since each pixel waits for the one before; then row by row
-along the columns. All sums are integers.
+Rows are processed once, from the top, so no cost volume is stored. A block of rows is aggregated
+along both directions of its rows, interleaved, because each pixel waits for its predecessor; then
+row by row down the columns. All sums are integers.
 """
 
 from __future__ import annotations
@@ -28,48 +27,41 @@ from binocular_recon._simd import (
     splat,
     store,
 )
-from binocular_recon.stereo import _validity_kernels as validity
+from binocular_recon.stereo import _validity_kernels as reason
 from binocular_recon.stereo.matching._cost_kernels import (
     WORST,
     CostSource,
     new_cost_rows,
     next_cost_row,
 )
+from binocular_recon.stereo.matching._selection_kernels import Selection
 
 EIGHTH = 3  # bits
-SENTINEL = np.uint8(255)  # above every sum that is told apart
+SENTINEL = np.uint8(255)  # above or equal to every sum
 BLOCK = 2  # rows
-WARM_UP = 24
-LEAST_LEAD = 0.32  # of the best sum per percent of the ratio: noise decides between perfect ones
-BACKS = 8  # copies of the right picture's best sums: a store must have ended before the next load
+WARM_UP = 24  # rows above a strip, from which its paths down the columns start
+# Least lead of the best sum over the second, per percent of the uniqueness ratio: between two
+# nearly perfect sums, as on a periodic pattern, noise decides.
+LEAST_LEAD = 0.32
+# Copies of the best sums of the right image, so that a load does not wait for the store before it.
+COPIES = 8
 
 
 class Penalties(NamedTuple):
-    """P1, and P2 (256) by the step of grey level, at most 96."""
+    """P1, and P2 (256) by the difference of grey levels, at most 96."""
 
     P1: int
     P2: Array
-
-
-class Decision(NamedTuple):
-    """How winners are chosen (see `MatchConfig`) and where they go, (H, W)."""
-
-    min_disparity: int
-    disp12_max_diff: float
-    uniqueness_ratio: float
-    subpixel: bool
-    disparity: Array
-    validity: Array
 
 
 class Paths(NamedTuple):
     """Costs along paths.
 
     ``costs`` and ``totals`` (BLOCK, W * padded): costs of a block of rows, and their sums over
-    paths. ``down`` (2, W * stride): along the columns, in the row before and in this one, a
-    sentinel before and after each pixel's; ``down_least`` (2, W) their minima. ``across``
-    (BLOCK, 2, 2, stride) and ``across_least`` (BLOCK, 2): the same along the rows in both
-    directions. Zeros are where paths begin.
+    paths. ``down`` (2, W * stride): sums down the columns, in the previous and in the current row,
+    with a sentinel before and after those of each pixel; ``down_least`` (2, W): their minima.
+    ``across`` (BLOCK, 2, 2, stride) and ``across_least`` (BLOCK, 2): the same along the rows, in
+    both directions. Paths start at zero.
     """
 
     costs: Array
@@ -101,16 +93,16 @@ def _new_paths(width: int, padded: int) -> Paths:
 
 @inline_kernel
 def _extend(sums: Array, at: int, penalty: Any, limit: Any, least: Any, cost: Any) -> Any:
-    """Return the costs along a path one pixel farther (eq. 13 of Hirschmueller)."""
-    beside = add_saturated(smaller(load(sums, at - 1), load(sums, at + 1)), penalty)
-    return smaller(smaller(load(sums, at), beside), limit) - least + cost
+    """Return the costs along a path, extended by one pixel (eq. 13 of Hirschmueller)."""
+    neighbours = add_saturated(smaller(load(sums, at - 1), load(sums, at + 1)), penalty)
+    return smaller(smaller(load(sums, at), neighbours), limit) - least + cost
 
 
 @kernel
 def _aggregate_across(
     paths: Paths, levels: Array, penalties: Penalties, disparities: int, y: int, rows: int
 ) -> None:
-    """Set the totals of ``rows`` rows from ``y`` on to the sums over both directions."""
+    """Set the totals of ``rows`` rows, from ``y`` on, to the sums over both directions."""
     width, padded = levels.shape[1], paths.padded
     stride = padded + 1
     across, least = paths.across, paths.across_least
@@ -151,7 +143,7 @@ def _aggregate_across(
 def _aggregate_down(
     paths: Paths, levels: Array, penalties: Penalties, y: int, row: int, total: Array
 ) -> None:
-    """Extend the columns' paths to row ``y``, the block's ``row``-th, and add their sums."""
+    """Extend the paths down the columns to row ``y``, row ``row`` of the block; add them."""
     width, padded = levels.shape[1], paths.padded
     stride = padded + 1
     costs = paths.costs[row]
@@ -180,18 +172,22 @@ def match_strip(
     source: CostSource,
     levels: Array,
     penalties: Penalties,
-    decision: Decision,
+    selection: Selection,
+    results: tuple[Array, Array],
     start: int,
     stop: int,
 ) -> None:
-    """Choose the disparities of rows ``start`` to ``stop``."""
+    """Write the disparities of rows ``start`` to ``stop`` that pass all checks.
+
+    ``results`` (H, W): disparities, and `MEASURED` or the reason why there is none.
+    """
     width = levels.shape[1]
     first = max(start - WARM_UP, 0)
     rows = new_cost_rows(source)
     paths = _new_paths(width, source.padded)
     scored = np.zeros((BLOCK, width), np.bool_)
     right_scored = np.zeros((BLOCK, rows.highest.size), np.bool_)
-    best = np.empty((BACKS, width + source.padded), np.uint8)
+    best = np.empty((COPIES, width + source.padded), np.uint8)
     for y in range(first, start):
         next_cost_row(source, rows, y, first, paths.costs[0])
         paths.totals[0] = 0
@@ -206,91 +202,93 @@ def match_strip(
         for r in range(count):
             total = paths.totals[r]
             _aggregate_down(paths, levels, penalties, y + r, r, total)
-            seen = scored[r], right_scored[r]
-            _decide_row(paths.costs[r], total, seen, best, source, decision, y + r)
+            have_scores = scored[r], right_scored[r]
+            out = results[0][y + r], results[1][y + r]
+            _select_row(paths.costs[r], total, have_scores, best, source.padded, selection, out)
 
 
 @kernel
-def _decide_row(
+def _select_row(
     costs: Array,
     total: Array,
     scored: tuple[Array, Array],
     best: Array,
-    source: CostSource,
-    decision: Decision,
-    y: int,
+    padded: int,
+    selection: Selection,
+    results: tuple[Array, Array],
 ) -> None:
-    """Choose the best disparities of a row, of both pictures, and keep those that agree.
+    """Choose the best disparities of a row for both images, and write those that agree.
 
-    ``scored``: which left pixels (W) and right ones, from right to left, have any score.
+    ``scored``: which left pixels (W), and which right ones from right to left, have any score.
     """
     left_scored, right_scored = scored
-    width, padded, disparities = left_scored.size, source.padded, source.disparities
+    disparity, validity = results
+    width, disparities = left_scored.size, selection.disparities
     best[:] = SENTINEL
     chosen = np.empty(width, np.int64)
     for x in range(width):
-        here, back = width - 1 - x, best[x % BACKS]
+        here, right_best = width - 1 - x, best[x % COPIES]
         lowest = splat(SENTINEL)
         for k in range(0, padded, LANES):
             sums = load(total, x * padded + k)
             lowest = smaller(lowest, sums)
-            store(back, here + k, smaller(sums, load(back, here + k)))
+            store(right_best, here + k, smaller(sums, load(right_best, here + k)))
         least = smallest(lowest)
         lane, k = LANES, -LANES
         while lane == LANES:
             k += LANES
             lane = first_equal(load(total, x * padded + k), least)
         chosen[x] = k + lane
-    for copy in range(1, BACKS):
+    for copy in range(1, COPIES):
         for i in range(width + padded):
             best[0, i] = min(best[0, i], best[copy, i])
-    tolerance = int(np.floor(decision.disp12_max_diff))
+    tolerance = int(np.floor(selection.disp12_max_diff))
     for x in range(width):
-        at, place = x * padded, chosen[x]
-        there = width - 1 - x + place
+        at, index = x * padded, chosen[x]
+        there = width - 1 - x + index
         if not left_scored[x]:
-            decision.validity[y, x] = validity.LOW_TEXTURE
+            validity[x] = reason.LOW_TEXTURE
             continue
         agrees = tolerance < 0
-        low, high = max(-tolerance, -x, -place), min(tolerance, padded - 1 - place)
+        low, high = max(-tolerance, -x, -index), min(tolerance, padded - 1 - index)
         for j in range(low, min(high, width - 1 - x) + 1):
             # the same right pixel, paired with a neighbour of the left one
-            agrees |= total[at + place + j * (padded + 1)] == best[0, there]
-        if not (agrees and right_scored[there]) or (tolerance >= 0 and costs[at + place] >= WORST):
-            decision.validity[y, x] = validity.CONFLICT
+            agrees |= total[at + index + j * (padded + 1)] == best[0, there]
+        if not (agrees and right_scored[there]) or (tolerance >= 0 and costs[at + index] >= WORST):
+            validity[x] = reason.CONFLICT
             continue
-        if tolerance >= 0 and (place == 0 or place == disparities - 1):
-            decision.validity[y, x] = validity.AT_LIMIT
+        if tolerance >= 0 and (index == 0 or index == disparities - 1):
+            validity[x] = reason.AT_LIMIT
             continue
-        if decision.uniqueness_ratio > 0 and not _is_unique(
-            total, at, place, disparities, decision.uniqueness_ratio
+        if selection.uniqueness_ratio > 0 and not _is_unique(
+            total, at, index, disparities, selection.uniqueness_ratio
         ):
-            decision.validity[y, x] = validity.AMBIGUOUS
+            validity[x] = reason.AMBIGUOUS
             continue
-        decision.validity[y, x] = validity.MEASURED
-        offset = _offset(costs, total, at + place) if 0 < place < disparities - 1 else 0.0
-        if not decision.subpixel:
+        validity[x] = reason.MEASURED
+        offset = _offset(costs, total, at + index) if 0 < index < disparities - 1 else 0.0
+        if not selection.subpixel:
             offset = 0.0
-        decision.disparity[y, x] = decision.min_disparity + place + offset
+        disparity[x] = selection.min_disparity + index + offset
 
 
 @kernel
-def _is_unique(total: Array, at: int, place: int, disparities: int, ratio: float) -> bool:
-    """Whether the best sum is below all but its neighbours' by the ratio asked for."""
+def _is_unique(total: Array, at: int, index: int, disparities: int, ratio: float) -> bool:
+    """Return whether the best sum beats all but its neighbours' by ``ratio`` percent."""
     second = np.int64(SENTINEL)
     for k in range(disparities):
-        if abs(k - place) > 1:
+        if abs(k - index) > 1:
             second = min(second, np.int64(total[at + k]))
-    lead = second - np.int64(total[at + place])
+    lead = second - np.int64(total[at + index])
     return bool(lead * 100 > second * ratio and lead > LEAST_LEAD * ratio)
 
 
 @inline_kernel
 def _offset(costs: Array, total: Array, at: int) -> Any:
-    """Return the offset of the best disparity, whose cost is at ``at``, px.
+    """Return the offset, px, of the best disparity, whose cost is at ``at``.
 
-    It is the minimum of the parabola through the pixel's own costs: the sums over paths are
-    pointed by the penalties and would draw it to whole pixels.
+    It is the minimum of the parabola through the pixel's own costs, because the penalties give
+    the sums over paths a sharp minimum, which would pull the offset to whole pixels.
     """
     best = np.float32(costs[at])
     before, after = np.float32(costs[at - 1]) - best, np.float32(costs[at + 1]) - best

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernel that carries disparities from the right picture to the left one."""
+"""Kernel that transfers disparities from the right image to the left one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from binocular_recon._jit import Array, kernel
 
 
 @kernel
-def carry_over_strip(
+def transfer_strip(
     disparity: Array, sigma: Array, left_disparity: Array, left_sigma: Array, start: int, stop: int
 ) -> None:
-    """Write what the right picture's pixels say to those of the left; the nearest is seen."""
+    """Write each disparity to the left pixel that it refers to; the nearest surface wins."""
     width = disparity.shape[1]
     for y in range(start, stop):
         left_disparity[y] = np.nan

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of matching costs: two windows' NCC as one byte, row by row.
+"""Kernels of matching costs: the NCC of two windows as one byte, row by row.
 
-The layout of disparities is that of `_ncc_kernels`, padded to whole vectors.
+Disparities are laid out as in `_ncc_kernels`, padded to whole vectors.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from binocular_recon.stereo.matching._ncc_kernels import (
 )
 
 WORST = np.int32(252)  # cost of score 0 or less
-UNKNOWN = np.int32(160)  # cost of what cannot be seen: that of a random match
+UNKNOWN = np.int32(160)  # cost where there is no score: that of a random match
 
 
 class CostSource(NamedTuple):
-    """What costs are made from.
+    """The images and options that costs are computed from.
 
-    ``big`` and ``small`` are one pair of pictures with a border of the big window's radius, with
-    both windows' sizes. The small window counts where its texture exceeds ``noise_energy``, the
-    big one where it does not.
+    ``big`` and ``small`` are the same image pair with the sizes of the two windows, extended by
+    the radius of the big window. The small window counts where its energy exceeds
+    ``noise_energy``, the big one elsewhere.
     """
 
     big: PaddedPair
@@ -49,10 +49,10 @@ class CostSource(NamedTuple):
 
 
 class CostRows(NamedTuple):
-    """State between rows: both windows' sums, and what `_weigh` makes of them.
+    """State between rows: the sums of both windows, and what `_set_gains` computes from them.
 
-    ``gains`` (2, W): what a left pixel's covariances count for; ``limit`` (W) and ``highest`` (N):
-    the largest costs of a left and of a right pixel.
+    ``gains`` (2, W): factors on the covariances of a left pixel in both windows; ``limit`` (W) and
+    ``highest`` (N): the largest costs of a left and of a right pixel.
     """
 
     big: Statistics
@@ -78,22 +78,22 @@ def new_cost_rows(source: CostSource) -> CostRows:
 
 @kernel
 def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs: Array) -> Any:
-    """Write row ``y``'s costs to ``costs`` (W * padded); True where a left pixel has any.
+    """Write the costs of row ``y`` to ``costs`` (W * padded); return which left pixels have any.
 
-    Must be called for all rows in turn from row ``first`` on.
+    Must be called for all rows in order, from row ``first`` on.
     """
     big, small = source.big, source.small
     inner = (big.size - small.size) // 2
-    nothing = big.left.shape[0] - 1
+    no_row = big.left.shape[0] - 1
     for new in range(y + big.size - 1 if y > first else first, y + big.size):
         old = new - big.size
-        enter_row(big, rows.big, new, old if old >= first else nothing)
+        enter_row(big, rows.big, new, old if old >= first else no_row)
         old = new - inner - small.size
         if new - inner >= first + inner:
-            enter_row(small, rows.small, new - inner, old if old >= first + inner else nothing)
+            enter_row(small, rows.small, new - inner, old if old >= first + inner else no_row)
     normalise_row(big, rows.big)
     normalise_row(small, rows.small)
-    _weigh(source, rows)
+    _set_gains(source, rows)
     for k in range(0, source.padded, LANES):
         _cost_columns(source, rows, y, k, costs)
     if source.disparities < source.padded:
@@ -104,10 +104,10 @@ def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs:
 
 
 @kernel
-def _weigh(source: CostSource, rows: CostRows) -> None:
-    """Fill what the inner loop needs of each pixel: shares of both windows and limits."""
+def _set_gains(source: CostSource, rows: CostRows) -> None:
+    """Set the gains and limits of each pixel, for the inner loop."""
     inner = (source.big.size - source.small.size) // 2
-    mean, rest, norm = rows.big.right_norm[0], rows.big.right_norm[1], rows.big.right_norm[2]
+    mean, fraction, norm = rows.big.right_norm[0], rows.big.right_norm[1], rows.big.right_norm[2]
     kind = mean.dtype.type
     zero, one, noise = kind(0), kind(1), kind(source.noise_energy)
     worst, unknown, half = kind(WORST), kind(UNKNOWN), kind(0.5)
@@ -115,11 +115,11 @@ def _weigh(source: CostSource, rows: CostRows) -> None:
     for i in range(norm.size):
         highest[i] = (worst if norm[i] > zero else unknown) + half
     for i in range(norm.size):
-        mean[i] += rest[i]
-    mean, rest = rows.small.right_norm[0], rows.small.right_norm[1]
+        mean[i] += fraction[i]
+    mean, fraction = rows.small.right_norm[0], rows.small.right_norm[1]
     small_norm = rows.small.right_norm[2]
     for i in range(norm.size):
-        mean[i] += rest[i]
+        mean[i] += fraction[i]
     for i in range(norm.size - inner):
         small_norm[i + inner] = small_norm[i + inner] if norm[i] > zero else zero
     gain, small_gain, limit = rows.gains[0], rows.gains[1], rows.limit
@@ -127,7 +127,7 @@ def _weigh(source: CostSource, rows: CostRows) -> None:
     inverse = rows.big.left_norm[1]
     small_inverse = rows.small.left_norm[1, inner : inner + width]
     for x in range(width):
-        # 0 where the small window is flat or the noise infinite
+        # 0 where the small window is uniform or the noise infinite
         weight = one / (one + noise * small_inverse[x] * small_inverse[x])
         share = weight if small_inverse[x] > zero else zero
         gain[x] = (one - share) * worst
@@ -141,7 +141,7 @@ def _weigh(source: CostSource, rows: CostRows) -> None:
 
 @kernel
 def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Array) -> None:
-    """Write the costs of a row's `LANES` disparities from the ``k``-th on."""
+    """Write the costs of a row at `LANES` disparities, from the ``k``-th on."""
     big = source.big
     size, small_size, padded = big.size, source.small.size, source.padded
     inner = (size - small_size) // 2
@@ -155,8 +155,8 @@ def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Arr
     zero = left[left.shape[0] - 1, 0]
     columns, small_columns = np.full(size * LANES, zero), np.full(size * LANES, zero)
     window = small_window = splat(zero)
-    # places in the rings of columns: that of the newest, of the small window's newest and of the
-    # column that leaves it
+    # indices in the ring buffers of column sums: of the newest column, of the one that enters the
+    # small window and of the one that leaves it
     ring = size * LANES
     newest, enters, leaves = (
         0,

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of zero-mean normalised cross-correlation (eq. 10) and winner takes all.
+"""Kernels of zero-mean normalised cross-correlation (eq. 10).
 
-Layout: the right picture is mirrored and shifted such that ``right[y, W - 1 - x + k]`` is what the
-k-th disparity pairs with left pixel x. So the disparities of a pixel lie side by side, and loops
-over k run on vector units.
+Layout: the right image is mirrored and shifted such that ``right[y, W - 1 - x + k]`` is the
+partner of left pixel x at the k-th disparity. The disparities of a pixel are thus contiguous in
+memory, and loops over k are vectorised.
 
-Exactness: pictures hold centred integers, so sums of products are exact and do not depend on
-where they started; neither strips nor crops change a score.
-
-A score and its place share one integer, the key, so that one maximum finds both.
+Exactness: the images hold integers around zero, so that sums of products are exact and do not
+depend on where they were started. Scores therefore depend neither on strips nor on crops.
 """
 
 from __future__ import annotations
@@ -24,29 +22,29 @@ NO_SCORE = np.float32(-1.75)  # below every score, above what overflows a key
 
 
 class PaddedPair(NamedTuple):
-    """Both pictures as the kernels need them; `lay_out` makes it.
+    """Both images as the kernels need them; `prepare_pair` makes it.
 
-    ``left`` (H + 1, W) and ``right`` (H + 1, W + D - 1) hold centred integers as float32 or
-    float64, 0 where there is no data; their last row is 0 and stands for "no row".
-    ``left_bad`` and ``right_bad`` are 1 where there is no data. A window's energy, the sum of
-    squares from its mean, must reach ``least_energy`` for a score.
+    ``left`` (H + 1, W) and ``right`` (H + 1, W + D - 1) hold integers around zero as float32 or
+    float64, 0 where there is no data; their last row, all 0, stands for "no row".
+    ``left_missing`` and ``right_missing`` are 1 where there is no data. A window is scored if its
+    energy, the sum of squared differences from its mean, reaches ``least_energy``.
     """
 
     left: Array
     right: Array
-    left_bad: Array
-    right_bad: Array
+    left_missing: Array
+    right_missing: Array
     size: int
     least_energy: tuple[float, float]
 
 
 class Statistics(NamedTuple):
-    """Sums over windows of each picture, row by row.
+    """Sums over the windows of each image, row by row.
 
     ``left_sums``, ``right_sums`` (3, N + size + LANES): values, squares and pixels without data,
-    summed over the window's rows. ``left_norm`` (2, N), ``right_norm``
-    (4, N), per window by its first column: sum, 1 / norm (0 = no score); mean's integer part,
-    mean's rest, 1 / norm, `NO_SCORE` or 0.
+    summed over the rows of the window. ``left_norm`` (2, N), by first column of the window: sum
+    and 1 / norm (0 = no score). ``right_norm`` (4, N): integer part of the mean, its fraction,
+    1 / norm, and `NO_SCORE` or 0.
     """
 
     left_sums: Array
@@ -56,10 +54,10 @@ class Statistics(NamedTuple):
 
 
 class Products(NamedTuple):
-    """Sums of products.
+    """Sums of products of left and right pixels.
 
-    ``columns`` ((size + W) * padded) are over a window's rows, the first ``size`` 0; ``window``
-    (padded) is over the whole window.
+    ``columns`` ((size + W) * padded) over the rows of a window, the first ``size`` columns 0;
+    ``window`` (padded) over the whole window.
     """
 
     columns: Array
@@ -70,13 +68,13 @@ class Products(NamedTuple):
 @kernel
 def new_statistics(pair: PaddedPair) -> Statistics:
     """Return the sums before the first row."""
-    width, places = pair.left.shape[1], pair.right.shape[1]
+    width, right_width = pair.left.shape[1], pair.right.shape[1]
     margin = pair.size + LANES
     return Statistics(
         np.zeros((3, width + margin), pair.left.dtype),
-        np.zeros((3, places + margin), pair.left.dtype),
+        np.zeros((3, right_width + margin), pair.left.dtype),
         np.zeros((2, width), pair.left.dtype),
-        np.zeros((4, places), pair.left.dtype),
+        np.zeros((4, right_width), pair.left.dtype),
     )
 
 
@@ -90,15 +88,15 @@ def new_products(pair: PaddedPair) -> Products:
 
 
 @kernel
-def _slide(sums: Array, new: Array, old: Array, new_bad: Array, old_bad: Array) -> None:
+def _slide(sums: Array, new: Array, old: Array, new_missing: Array, old_missing: Array) -> None:
     """Move column sums down by a row."""
-    values, squares, bad = sums[0], sums[1], sums[2]
+    values, squares, missing = sums[0], sums[1], sums[2]
     for i in range(new.size):
         values[i] += new[i] - old[i]
     for i in range(new.size):
         squares[i] += new[i] * new[i] - old[i] * old[i]
     for i in range(new.size):
-        bad[i] += np.float32(new_bad[i]) - np.float32(old_bad[i])
+        missing[i] += np.float32(new_missing[i]) - np.float32(old_missing[i])
 
 
 @kernel
@@ -108,63 +106,64 @@ def enter_row(pair: PaddedPair, statistics: Statistics, new: int, old: int) -> N
         statistics.left_sums,
         pair.left[new],
         pair.left[old],
-        pair.left_bad[new],
-        pair.left_bad[old],
+        pair.left_missing[new],
+        pair.left_missing[old],
     )
     _slide(
         statistics.right_sums,
         pair.right[new],
         pair.right[old],
-        pair.right_bad[new],
-        pair.right_bad[old],
+        pair.right_missing[new],
+        pair.right_missing[old],
     )
 
 
 @kernel
 def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: Array) -> None:
-    """Give the sum and 1 / norm of the window that starts at each column; 0 = no score."""
+    """Write the sum and 1 / norm of the window that starts at each column; 0 = no score."""
     count = size * size
-    values, squares, bad = sums[0], sums[1], sums[2]
+    values, squares, missing = sums[0], sums[1], sums[2]
     windows = total.size - size + 1
     side, zero = values.dtype.type(size), values.dtype.type(0)
     sum_of = np.empty((3, total.size + LANES), sums.dtype)
-    value, square, without = sum_of[0], sum_of[1], sum_of[2]
+    value, square, no_data = sum_of[0], sum_of[1], sum_of[2]
     for i in range(0, windows, LANES):
-        a, b, c = load(values, i), load(squares, i), load(bad, i)
+        a, b, c = load(values, i), load(squares, i), load(missing, i)
         for j in range(1, size):
             a, b = a + load(values, i + j), b + load(squares, i + j)
-            c = c + load(bad, i + j)
+            c = c + load(missing, i + j)
         store(value, i, a)
         store(square, i, b)
-        store(without, i, c)
+        store(no_data, i, c)
     for i in range(windows):
         total[i] = value[i]
     for i in range(windows):
-        # count times the energy is a difference of integers: exact, 0 where the window is flat
+        # count * energy is a difference of integers: exact, and 0 in a uniform window
         energy = np.float64(count) * square[i] - np.float64(value[i]) * np.float64(value[i])
-        scored = without[i] == 0 and energy > 0 and energy >= least * count
-        square[i], without[i] = energy, scored
+        scored = no_data[i] == 0 and energy > 0 and energy >= least * count
+        # the arrays are used again: for the energies, and for whether a window is scored
+        square[i], no_data[i] = energy, scored
     for i in range(windows):
-        inverse[i] = side / np.sqrt(square[i]) if without[i] != 0 else zero
+        inverse[i] = side / np.sqrt(square[i]) if no_data[i] != 0 else zero
 
 
 @kernel
 def normalise_row(pair: PaddedPair, statistics: Statistics) -> None:
-    """Fill both norms from the column sums."""
+    """Set the norms of both images from the column sums."""
     size = pair.size
     left, right = statistics.left_norm, statistics.right_norm
     _window_energy(statistics.left_sums, size, pair.least_energy[0], left[0], left[1])
     _window_energy(statistics.right_sums, size, pair.least_energy[1], right[0], right[2])
-    total, rest, norm, bias = right[0], right[1], right[2], right[3]
-    pixels, none = total.dtype.type(size * size), total.dtype.type(NO_SCORE)
+    total, fraction, norm, bias = right[0], right[1], right[2], right[3]
+    pixels, no_score = total.dtype.type(size * size), total.dtype.type(NO_SCORE)
     half, zero = total.dtype.type(0.5), total.dtype.type(0)
-    share = total.dtype.type(1) / pixels
+    per_pixel = total.dtype.type(1) / pixels
     for i in range(total.size):
-        whole = np.floor(total[i] * share + half)
-        rest[i] = (total[i] - whole * pixels) * share
+        whole = np.floor(total[i] * per_pixel + half)
+        fraction[i] = (total[i] - whole * pixels) * per_pixel
         total[i] = whole
     for i in range(total.size):
-        bias[i] = zero if norm[i] > 0 else none
+        bias[i] = zero if norm[i] > 0 else no_score
 
 
 @kernel
@@ -177,17 +176,18 @@ def score_columns(
     stop: int,
     scores: Array,
 ) -> None:
-    """Move the sums of columns ``start`` to ``stop`` down to row ``rows[0]``; ``rows[1]`` leaves.
+    """Score the windows whose last row is ``rows[0]`` and last column in ``start`` to ``stop``.
 
-    Then write the scores of the windows that end there to ``scores`` ((stop - start) * padded),
-    `NO_SCORE` where there is none; nothing if it is empty. Must be called for all columns in
-    turn, the first with ``products.window`` zero.
+    First moves the sums of these columns down: row ``rows[0]`` enters, row ``rows[1]`` leaves.
+    Then writes the scores to ``scores`` ((stop - start) * padded), `NO_SCORE` where there is none;
+    nothing if ``scores`` is empty. Must be called for all columns in order, for the first with
+    ``products.window`` zero.
     """
     size, last, padded = pair.size, pair.left.shape[1] - 1, products.padded
     columns, window = products.columns, products.window
     left_new, left_old = pair.left[rows[0]], pair.left[rows[1]]
     right_new, right_old = pair.right[rows[0]], pair.right[rows[1]]
-    whole, rest = statistics.right_norm[0], statistics.right_norm[1]
+    whole, fraction = statistics.right_norm[0], statistics.right_norm[1]
     norm, bias = statistics.right_norm[2], statistics.right_norm[3]
     for x in range(start, stop):
         here, at = last - x, (size + x) * padded
@@ -206,8 +206,8 @@ def score_columns(
         for k in range(0, padded, LANES):
             product = load(window, k) + load(columns, at + k) - load(columns, x * padded + k)
             store(window, k, product)
-            # eq. 10; the mean in two parts: their difference from the products stays exact
-            covariance = product - total * load(whole, here + k) - total * load(rest, here + k)
+            # eq. 10; the mean in two parts, so that subtracting the integer part is exact
+            covariance = product - total * load(whole, here + k) - total * load(fraction, here + k)
             score = covariance * inverse * load(norm, here + k) + load(bias, here + k)
             store(scores, (x - start) * padded + k, score)
 
@@ -216,12 +216,12 @@ def score_columns(
 def score_strip(pair: PaddedPair, scores: Array, start: int, stop: int) -> None:
     """Write the scores of rows ``start`` to ``stop`` to ``scores`` (H, W, D); NaN = none."""
     width, size = pair.left.shape[1], pair.size
-    radius, nothing = size // 2, pair.left.shape[0] - 1
+    radius, no_row = size // 2, pair.left.shape[0] - 1
     statistics, products = new_statistics(pair), new_products(pair)
     row = np.empty(width * products.padded, pair.left.dtype)
     top = max(start - radius, 0)
-    for new in range(top, min(stop + radius, nothing)):
-        old = new - size if new - size >= top else nothing
+    for new in range(top, min(stop + radius, no_row)):
+        old = new - size if new - size >= top else no_row
         enter_row(pair, statistics, new, old)
         y = new - radius
         ready = y >= start and new - top >= size - 1

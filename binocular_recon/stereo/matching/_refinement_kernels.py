@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of refinement: speckles, medians and planes."""
+"""Kernels of refinement: speckles, weighted medians and planes."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from binocular_recon._simd import (
     to_int32,
 )
 
-REACH = 2  # samples on each side of the pixel ...
-SPACING = 3  # ... every so many pixels: neighbours repeat the same error
+# Planes: samples on each side of the pixel, and their spacing in pixels (neighbours have
+# correlated errors).
+REACH = 2
+SPACING = 3
 BORDER = REACH * SPACING
 MEDIAN_REACH = 3
 MEDIAN_SPACING = 2
 MEDIAN_BORDER = MEDIAN_REACH * MEDIAN_SPACING
-MEDIAN_ERROR_PX = np.float32(0.1)  # bisection ends
-FEW = np.float32(5)  # samples that a plane needs
-FLAT = np.float32(1e-2)  # least spread of the samples: a plane needs two directions
+MEDIAN_ERROR_PX = np.float32(0.1)  # at which bisection stops
+LEAST_SAMPLES = np.float32(5)  # of a plane
+LEAST_SPREAD = np.float32(1e-2)  # of the samples: on a line they do not define a plane
 
 
 @kernel
-def to_steps(
+def quantise(
     disparity: Array, first: float, steps: float, whole: Array, start: int, stop: int
 ) -> None:
-    """Write disparities from ``first`` on in whole steps to ``whole``, int16; -1 = none."""
+    """Write disparities, counted from ``first``, in whole steps to ``whole``, int16; -1 = none."""
     for y in range(start, stop):
         for x in range(disparity.shape[1]):
             here = (disparity[y, x] - np.float32(first)) * np.float32(steps)
@@ -49,35 +51,35 @@ def drop_negative(whole: Array, disparity: Array, start: int, stop: int) -> None
 
 
 @kernel
-def put_inside(
-    values: Array, shown: Array, border: int, bordered: Array, start: int, stop: int
+def pad_strip(
+    values: Array, mask: Array, border: int, padded: Array, start: int, stop: int
 ) -> None:
-    """Put ``values`` (H, W), NaN where ``shown`` is, inside a border of NaN.
+    """Copy ``values`` (H, W) into ``padded``, with a border of NaN; NaN where ``mask`` is NaN.
 
-    ``bordered`` (H + 2 border, W + 2 border + LANES); the first and the last rows are filled with
-    their neighbours.
+    ``padded`` (H + 2 border, W + 2 border + LANES); the first and the last strip write the border
+    above and below.
     """
     height, width = values.shape
     if start == 0:
-        bordered[:border] = np.nan
+        padded[:border] = np.nan
     if stop == height:
-        bordered[border + height :] = np.nan
+        padded[border + height :] = np.nan
     for y in range(start, stop):
-        row = bordered[y + border]
+        row = padded[y + border]
         row[:border] = np.nan
         row[border + width :] = np.nan
         for x in range(width):
-            row[border + x] = values[y, x] if shown[y, x] == shown[y, x] else np.float32(np.nan)
+            row[border + x] = values[y, x] if mask[y, x] == mask[y, x] else np.float32(np.nan)
 
 
 @kernel
 def weighted_median_strip(
     values: Array, levels: Array, softness: float, keep: float, out: Array, start: int, stop: int
 ) -> None:
-    """Replace values that are no weighted median of those around, by it.
+    """Replace values that differ from the weighted median of their window by that median.
 
     ``values`` and ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of
-    NaN; ``out`` (H, W + LANES). Weights fall with the step of grey level, to a half at
+    NaN; ``out`` (H, W + LANES). Weights fall with the difference of grey levels, to a half at
     ``softness``; a value within ``keep`` of its median stays.
     """
     width = values.shape[1] - 2 * MEDIAN_BORDER - LANES
@@ -89,7 +91,7 @@ def weighted_median_strip(
         splat(np.float32(keep)),
         splat(np.float32(1e9)),
     )
-    surely = splat(np.float32(keep) - MEDIAN_ERROR_PX)
+    certain = splat(np.float32(keep) - MEDIAN_ERROR_PX)
     for y in range(start, stop):
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
@@ -114,20 +116,20 @@ def weighted_median_strip(
                 for i in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
                     step = (load(row, x + i) - level) * scale
                     weight = one / (one + step * step)
-                    # NaN is not at most anything
+                    # 0 where a level or a value is NaN
                     weight = at_most(weight, one, weight, zero)
                     weight = at_most(load(samples, at), most, weight, zero)
                     store(weights, at, weight)
                     total = total + weight
                     at += LANES
             enough = total * half
-            # most values are near enough to their median, which shows without finding it
-            below = under = zero
+            # most values are near their median, which two sums show without bisection
+            to_high = to_low = zero
             for k in range(0, count * LANES, LANES):
                 sample, weight = load(samples, k), load(weights, k)
-                below = below + at_most(sample, here + surely, weight, zero)
-                under = under + at_most(sample, here - surely, weight, zero)
-            moves = at_most(below, enough, one, at_most(under, enough, zero, one))
+                to_high = to_high + at_most(sample, here + certain, weight, zero)
+                to_low = to_low + at_most(sample, here - certain, weight, zero)
+            moves = at_most(to_high, enough, one, at_most(to_low, enough, zero, one))
             if largest(to_int32(moves)) == 0:
                 store(out[y], x, here)
                 continue
@@ -148,11 +150,12 @@ def weighted_median_strip(
 def plane_strip(
     disparity: Array, reach_px: float, plane: Array, residual: Array, start: int, stop: int
 ) -> None:
-    """Fit a plane to the samples around each pixel that differ by ``reach_px`` at most.
+    """Fit a plane to the samples around each pixel that differ from it by at most ``reach_px``.
 
-    ``disparity`` (H + 2 BORDER, W + 2 BORDER + LANES) has a border of NaN; ``plane`` and
-    ``residual`` (H, W + LANES) get the plane's value and the mean square of what remains,
-    where samples are few that of anything within ``reach_px``; NaN where there is no disparity.
+    ``disparity`` (H + 2 BORDER, W + 2 BORDER + LANES) has a border of NaN. Writes the value of the
+    plane and the mean square of its residuals to ``plane`` and ``residual`` (H, W + LANES); with
+    too few samples, the value itself and the variance of a uniform distribution within
+    ``reach_px``; NaN where there is no disparity.
     """
     width = disparity.shape[1] - 2 * BORDER - LANES
     limit = splat(np.float32(reach_px))
@@ -183,12 +186,14 @@ def plane_strip(
             cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
             cxv, cyv = sxv / count - mx * mv, syv / count - my * mv
             spread = cxx * cyy - cxy * cxy
-            safe = larger(spread, splat(FLAT))
+            safe = larger(spread, splat(LEAST_SPREAD))
             slope_x = (cxv * cyy - cyv * cxy) / safe
             slope_y = (cyv * cxx - cxv * cxy) / safe
-            left = svv / count - mv * mv - slope_x * cxv - slope_y * cyv
+            square = svv / count - mv * mv - slope_x * cxv - slope_y * cyv
             fitted = here + mv - slope_x * mx - slope_y * my
-            fitted = at_most(splat(FEW), n, at_most(splat(FLAT), spread, fitted, here), here)
+            fitted = at_most(splat(LEAST_SPREAD), spread, fitted, here)
+            fitted = at_most(splat(LEAST_SAMPLES), n, fitted, here)
             store(plane[y], x, fitted)
-            left = at_most(splat(FEW), n, larger(left, zero), limit * limit / splat(np.float32(3)))
-            store(residual[y], x, left + (here - here))  # NaN where there is no disparity
+            uniform = limit * limit / splat(np.float32(3))
+            square = at_most(splat(LEAST_SAMPLES), n, larger(square, zero), uniform)
+            store(residual[y], x, square + (here - here))  # NaN where there is no disparity

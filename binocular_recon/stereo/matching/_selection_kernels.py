@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of winner-takes-all selection: the best NCC score of each pixel and its checks."""
+"""Kernels of winner-takes-all selection: the best NCC score of each pixel, and its checks.
+
+A score and the index of its disparity share one integer, the key, so that one maximum finds both.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,7 @@ import numpy as np
 
 from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
-from binocular_recon.stereo._validity_kernels import (
-    AMBIGUOUS,
-    AT_LIMIT,
-    CONFLICT,
-    MEASURED,
-)
+from binocular_recon.stereo import _validity_kernels as reason
 from binocular_recon.stereo.matching._ncc_kernels import (
     NO_SCORE,
     PaddedPair,
@@ -25,17 +23,17 @@ from binocular_recon.stereo.matching._ncc_kernels import (
     score_columns,
 )
 
-PLACE_BITS = 12
-PLACES = 2**PLACE_BITS
-SCORE_STEPS = np.float32(2.0**18)  # per unit of score; -1.75..1 fits the key's upper 20 bits
+INDEX_BITS = 12
+MOST_INDICES = 2**INDEX_BITS
+SCORE_STEPS = np.float32(2.0**18)  # per unit of score; -1.75..1 fits the upper 20 bits of the key
 NO_KEY = np.int32(-(2**31))
 TILE = 32  # columns whose scores stay in the first-level cache
-# Least lead of the best score over the second, per percent of the ratio asked for.
+# Least lead of the best score over the second, per percent of the uniqueness ratio.
 LEAST_LEAD = np.float32(0.002)
 
 
 class Selection(NamedTuple):
-    """How winners are chosen; see `MatchConfig`."""
+    """How disparities are chosen; see `MatchConfig`."""
 
     disparities: int
     min_disparity: int
@@ -45,10 +43,10 @@ class Selection(NamedTuple):
 
 
 @kernel
-def _pick_columns(
+def _find_best(
     scores: Array, tags: Array, right_keys: Array, last: int, start: int, stop: int, keys: Array
 ) -> None:
-    """Find the best key of columns ``start`` to ``stop``; enter all for the right pixels."""
+    """Find the best key of each left pixel in ``start`` to ``stop``; update the right pixels'."""
     padded = tags.size
     steps = splat(np.full(1, SCORE_STEPS, scores.dtype)[0])
     for x in range(start, stop):
@@ -56,51 +54,51 @@ def _pick_columns(
         best = splat(NO_KEY)
         for k in range(0, padded, LANES):
             score = to_int32(load(scores, (x - start) * padded + k) * steps)
-            key = shift_left(score, PLACE_BITS) + load(tags, k)
+            key = shift_left(score, INDEX_BITS) + load(tags, k)
             best = larger(best, key)
             store(right_keys, here + k, larger(key, load(right_keys, here + k)))
         keys[x] = largest(best)
 
 
 @kernel
-def _place(key: Any) -> Any:
-    """Return the place that a key holds; of equal scores the smaller place wins."""
-    return PLACES - 1 - (key & (PLACES - 1))
+def _index(key: Any) -> Any:
+    """Return the index in a key; it is stored so that of equal scores the smaller index wins."""
+    return MOST_INDICES - 1 - (key & (MOST_INDICES - 1))
 
 
 @kernel
-def _is_unique(scores: Array, place: int, ratio: float) -> bool:
-    """Whether the best 1 - score beats all but its neighbours' by ``ratio`` percent."""
+def _is_unique(scores: Array, index: int, ratio: float) -> bool:
+    """Return whether the best 1 - score beats all but its neighbours' by ``ratio`` percent."""
     second = NO_SCORE
     for k in range(scores.size):
-        if abs(k - place) > 1:
+        if abs(k - index) > 1:
             second = max(second, scores[k])
     if second == NO_SCORE:
         return True
-    best = scores[place]
+    best = scores[index]
     beaten = (1 - second) * (100 - ratio) > (1 - best) * 100
     return bool(beaten and best - second > LEAST_LEAD * ratio)
 
 
 @kernel
-def _verdict(scores: Array, place: int, selection: Selection) -> Any:
-    """Return `MEASURED`, or why the best score of a pixel is no match."""
+def _check(scores: Array, index: int, selection: Selection) -> Any:
+    """Return `MEASURED`, or the reason why the best score of a pixel is not a match."""
     checked, ratio = selection.disp12_max_diff >= 0, selection.uniqueness_ratio
-    if checked and scores[place] <= 0:
-        return CONFLICT
-    if checked and (place == 0 or place == selection.disparities - 1):
-        return AT_LIMIT
-    if ratio > 0 and not _is_unique(scores, place, ratio):
-        return AMBIGUOUS
-    return MEASURED
+    if checked and scores[index] <= 0:
+        return reason.CONFLICT
+    if checked and (index == 0 or index == selection.disparities - 1):
+        return reason.AT_LIMIT
+    if ratio > 0 and not _is_unique(scores, index, ratio):
+        return reason.AMBIGUOUS
+    return reason.MEASURED
 
 
 @kernel
-def _offset(scores: Array, place: int) -> Any:
-    """Return the maximum's offset from ``place``, px, on the parabola through three scores."""
-    if place == 0 or place == scores.size - 1:
+def _offset(scores: Array, index: int) -> Any:
+    """Return the offset of the maximum from ``index``, on the parabola through three scores."""
+    if index == 0 or index == scores.size - 1:
         return 0.0
-    before, best, after = scores[place - 1], scores[place], scores[place + 1]
+    before, best, after = scores[index - 1], scores[index], scores[index + 1]
     curvature = 2 * best - before - after
     if before == NO_SCORE or after == NO_SCORE or curvature <= 0:
         return 0.0
@@ -111,27 +109,28 @@ def _offset(scores: Array, place: int) -> Any:
 def select_strip(
     pair: PaddedPair,
     selection: Selection,
-    disparity: Array,
-    validity: Array,
+    results: tuple[Array, Array],
     start: int,
     stop: int,
 ) -> None:
-    """Choose the best disparity of rows ``start`` to ``stop``; NaN = none.
+    """Write the best disparities of rows ``start`` to ``stop`` that pass all checks.
 
-    ``validity`` gets the reason, and stays where there is no score.
+    ``results`` (H, W): disparities, and `MEASURED` or the reason why there is none, both unchanged
+    where there is no score.
     """
+    disparity, validity = results
     width, size = pair.left.shape[1], pair.size
-    radius, nothing, last = size // 2, pair.left.shape[0] - 1, width - 1
+    radius, no_row, last = size // 2, pair.left.shape[0] - 1, width - 1
     statistics, products = new_statistics(pair), new_products(pair)
     padded = products.padded
-    tags = (PLACES - 1 - np.arange(padded)).astype(np.int32)
+    tags = (MOST_INDICES - 1 - np.arange(padded)).astype(np.int32)
     right_keys = np.empty(pair.right.shape[1] + LANES, np.int32)
     keys = np.empty(width, np.int32)
-    places = np.empty(width, np.int64)
+    indices = np.empty(width, np.int64)
     scores = np.empty(TILE * padded, pair.left.dtype)
     top = max(start - radius, 0)
-    for new in range(top, min(stop + radius, nothing)):
-        rows = (new, new - size if new - size >= top else nothing)
+    for new in range(top, min(stop + radius, no_row)):
+        rows = (new, new - size if new - size >= top else no_row)
         enter_row(pair, statistics, *rows)
         y = new - radius
         if y < start or new - top < size - 1:
@@ -143,34 +142,34 @@ def select_strip(
         for tile in range(0, width, TILE):
             end = min(tile + TILE, width)
             score_columns(pair, statistics, products, rows, tile, end, scores)
-            _cover(scores, statistics.left_norm[1], size, tile, end, selection, padded)
-            _pick_columns(scores, tags, right_keys, last, tile, end, keys)
+            _mask_unscored(scores, statistics.left_norm[1], size, tile, end, selection, padded)
+            _find_best(scores, tags, right_keys, last, tile, end, keys)
             for x in range(max(tile, size - 1), end):
                 curve = scores[(x - tile) * padded : (x - tile) * padded + selection.disparities]
-                places[x] = _place(keys[x])
-                best = curve[places[x]]
-                reason = _verdict(curve, places[x], selection)
+                indices[x] = _index(keys[x])
+                best = curve[indices[x]]
+                verdict = _check(curve, indices[x], selection)
                 if best != NO_SCORE:
-                    validity[y, x - radius] = reason
-                if best == NO_SCORE or reason != MEASURED:
-                    places[x] = -1
+                    validity[y, x - radius] = verdict
+                if best == NO_SCORE or verdict != reason.MEASURED:
+                    indices[x] = -1
                     continue
-                offset = _offset(curve, places[x]) if selection.subpixel else 0.0
-                disparity[y, x - radius] = selection.min_disparity + places[x] + offset
+                offset = _offset(curve, indices[x]) if selection.subpixel else 0.0
+                disparity[y, x - radius] = selection.min_disparity + indices[x] + offset
         if selection.disp12_max_diff >= 0:
             for x in range(size - 1, width):
-                if places[x] >= 0:
-                    back = _place(right_keys[last - x + places[x]])
-                    if abs(back - places[x]) > selection.disp12_max_diff:
+                if indices[x] >= 0:
+                    back = _index(right_keys[last - x + indices[x]])
+                    if abs(back - indices[x]) > selection.disp12_max_diff:
                         disparity[y, x - radius] = np.nan
-                        validity[y, x - radius] = CONFLICT
+                        validity[y, x - radius] = reason.CONFLICT
 
 
 @kernel
-def _cover(
+def _mask_unscored(
     scores: Array, norm: Array, size: int, start: int, stop: int, selection: Selection, padded: int
 ) -> None:
-    """Set what is no score to `NO_SCORE`: pixels without texture, disparities not searched."""
+    """Write `NO_SCORE` for pixels without texture and for disparities that are not searched."""
     for x in range(start, stop):
         row = (x - start) * padded
         if x < size - 1 or norm[x - size + 1] == 0:

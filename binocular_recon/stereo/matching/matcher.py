@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matching: rectified rows become disparities by zero-mean NCC (eq. 10)."""
+"""The built-in matcher 'ncc', step by step: rectified rows become disparities (eq. 10)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.matching import _semi_global
-from binocular_recon.stereo.matching._layout import check_pair, lay_out
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
-from binocular_recon.stereo.matching._refinement_kernels import drop_negative, to_steps
-from binocular_recon.stereo.matching._selection_kernels import Selection, select_strip
-from binocular_recon.stereo.matching.consensus import agree, carry_over, members
+from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
+from binocular_recon.stereo.matching._selection_kernels import select_strip
+from binocular_recon.stereo.matching.consensus import to_left_image, vote, voter_configs
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
     half_config,
     halve,
-    has_weak_texture,
+    has_low_texture,
 )
-from binocular_recon.stereo.matching.refinement import smooth
+from binocular_recon.stereo.matching.refinement import drop_speckles, smooth
 from binocular_recon.stereo.validity import Validity
 
 # Disparity, its standard deviation (both float32, NaN = none) and validity (uint8), all (H, W).
@@ -43,7 +42,7 @@ class Match:
     disparity_px : (H, W) float32
         Raw disparity x_left - x_right; NaN = none.
     confidence : (H, W) float32
-        In [0, 1], 0 where there is no disparity; carries the standard deviation of the
+        In [0, 1], 0 where there is no disparity; it encodes the standard deviation of the
         disparity, see `sigma_from_confidence`.
     validity : (H, W) uint8
         `Validity.MEASURED`, or why there is no disparity.
@@ -60,35 +59,93 @@ def disparity_step_px(config: MatchConfig) -> float:
     return SUBPIXEL_STEP_PX if config.subpixel else 1.0
 
 
-def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
-    """Match a rectified pair.
+def match_ncc(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
+    """Match a checked pair by zero-mean normalised cross-correlation.
 
     Parameters
     ----------
     left, right : (H, W) float32
-        Grey levels of 255, any precision; NaN = no data.
+        Rectified images, grey levels 0..255, any precision; NaN = no data.
     config : MatchConfig
         Search range, window and checks.
 
     Returns
     -------
     Match
-        Disparity of each pixel whose match passes every check; none in pictures smaller than the
+        Disparity of each pixel whose match passes every check; none in images smaller than the
         window.
-
-    Raises
-    ------
-    ImageError
-        If the pictures differ in size or are not grey levels of 255.
 
     Notes
     -----
-    Eq. 10 with both windows sampled at x - d in the right picture; winner takes all.
+    Eq. 10 with both windows sampled at x - d in the right image. The disparity of a pixel is
+    chosen by winner takes all or by semi-global matching (``config.semi_global``), once or by
+    vote of several matches (``config.consensus``).
 
     """
-    left, right = check_pair(left, right)
     measure = _measure_by_consensus if config.consensus else _measure
     disparity, sigma, validity = measure(left, right, config)
+    matched = _rounded(disparity, sigma, validity, config)
+    _mark_missing(left, right, validity, config)
+    return matched
+
+
+def _measure_by_consensus(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
+    """Return the disparities on which matches with several windows, from both cameras, agree."""
+    mirrored = right[:, ::-1].copy(), left[:, ::-1].copy()
+    found, reasons = [], np.zeros(left.shape, np.uint8)
+    for voter in voter_configs(config):
+        disparity, sigma, validity = _measure(left, right, voter)
+        found.append((disparity, sigma))
+        np.bitwise_or(reasons, validity, out=reasons)
+        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, voter)[:2])
+        found.append(to_left_image(disparity, sigma))
+    disparity, sigma = vote(*zip(*found, strict=True))
+    return (disparity if config.subpixel else np.rint(disparity)), sigma, reasons
+
+
+def _measure(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
+    """Return the measurements of one match, in regions of low texture at half resolution."""
+    disparity, sigma, validity = _measure_once(left, right, config)
+    if config.half_resolution and has_low_texture(disparity):
+        # half resolution remedies noise, not the other reasons of the checks
+        rejected = (validity & (Validity.AMBIGUOUS | Validity.AT_LIMIT)) > 0
+        half = _measure_once(halve(left), halve(right), half_config(config))[:2]
+        fill_from_half(disparity, sigma, *half, config.speckle_size)
+        disparity[rejected], sigma[rejected] = np.nan, np.nan
+    return disparity, sigma, validity
+
+
+def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
+    """Return the measurements at one resolution."""
+    if min(left.shape) < config.correlation_window_size:
+        none = np.full(left.shape, np.nan, np.float32)
+        return none, none.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
+    choose = _semi_global.choose_disparities if config.semi_global else _winner_takes_all
+    disparity, validity = choose(left, right, config)
+    drop_speckles(disparity, config)
+    if config.subpixel:
+        disparity, sigma = smooth(disparity, left)
+    else:
+        sigma = np.zeros_like(disparity)
+    return disparity, sigma, validity
+
+
+def _winner_takes_all(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, ByteImage]:
+    """Return the disparity of each pixel's best score, NaN = none, and the validity."""
+    pair, _ = prepare_pair(left, right, config, border=0)
+    disparity = np.full(left.shape, np.nan, np.float32)
+    validity = np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
+    results = disparity, validity
+    over_strips(select_strip, len(left), pair, selection_of(config), results, strip=48)
+    return results
+
+
+def _rounded(
+    disparity: FloatImage, sigma: FloatImage, validity: ByteImage, config: MatchConfig
+) -> Match:
+    """Round disparities, in place, to the step of a DisparityImage, and add the confidence."""
     confidence = np.empty_like(disparity)
     low, high = config.limits_px
 
@@ -99,97 +156,37 @@ def match(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
             np.rint(rows, out=rows)
             rows *= np.float32(SUBPIXEL_STEP_PX)
         levels[:] = confidence_from_sigma(sigma[start:stop]) if config.subpixel else 1
-        # planes and half resolution may leave the range
+        # planes and half resolution may leave the search range
         outside = ~((rows >= low) & (rows <= high))
         rows[outside], levels[outside] = np.nan, 0
-        _agree_with(rows, validity[start:stop])
+        _update_validity(rows, validity[start:stop])
 
     over_strips(finish, len(disparity))
-    _mark_missing(left, right, validity, config)
     return Match(disparity, confidence, validity)
 
 
-def _agree_with(disparity: FloatImage, validity: ByteImage) -> None:
-    """Let validity say what the disparity shows, in place; later steps add and drop matches."""
+def _update_validity(disparity: FloatImage, validity: ByteImage) -> None:
+    """Make validity agree, in place, with the disparities that later steps added and dropped."""
     measured = np.isfinite(disparity)
-    said = (validity & Validity.MEASURED) > 0
+    was_measured = (validity & Validity.MEASURED) > 0
     validity[measured] = Validity.MEASURED
-    validity[~measured & said] = Validity.AMBIGUOUS
+    validity[~measured & was_measured] = Validity.AMBIGUOUS
 
 
 def _mark_missing(
     left: FloatImage, right: FloatImage, validity: ByteImage, config: MatchConfig
 ) -> None:
-    """Say, in place, where one of the images has no data within the window."""
+    """Mark, in place, pixels without a match whose window contains pixels without data.
+
+    In the right image only rows without any data count: without a disparity no pixel there is the
+    partner.
+    """
     missing = np.isnan(left)
     missing = missing | np.asarray(np.isnan(right).all(axis=1))[:, None]
     if missing.any():
         side = config.correlation_window_size
         near = cv2.dilate(missing.view(np.uint8), np.ones((side, side), np.uint8)) > 0
         validity[near & (validity != Validity.MEASURED)] = Validity.NO_DATA
-
-
-def _measure_by_consensus(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
-    """Return what matches with several windows, seen from either camera, agree on."""
-    mirrored = right[:, ::-1].copy(), left[:, ::-1].copy()
-    found, reasons = [], np.zeros(left.shape, np.uint8)
-    for member in members(config):
-        disparity, sigma, validity = _measure(left, right, member)
-        found.append((disparity, sigma))
-        np.bitwise_or(reasons, validity, out=reasons)
-        disparity, sigma = (image[:, ::-1].copy() for image in _measure(*mirrored, member)[:2])
-        found.append(carry_over(disparity, sigma))
-    disparity, sigma = agree(*zip(*found, strict=True))
-    return (disparity if config.subpixel else np.rint(disparity)), sigma, reasons
-
-
-def _measure(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
-    """Return the disparity, its standard deviation and the validity."""
-    disparity, sigma, validity = _measure_once(left, right, config)
-    if config.half_resolution and has_weak_texture(disparity):
-        # what a check took away for another reason than noise is not given back
-        taken = (validity & (Validity.AMBIGUOUS | Validity.AT_LIMIT)) > 0
-        half = _measure_once(halve(left), halve(right), half_config(config))[:2]
-        fill_from_half(disparity, sigma, *half, config.speckle_size)
-        disparity[taken], sigma[taken] = np.nan, np.nan
-    return disparity, sigma, validity
-
-
-def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> Measured:
-    """Return the same at one resolution."""
-    if min(left.shape) < config.correlation_window_size:
-        nothing = np.full(left.shape, np.nan, np.float32)
-        return nothing, nothing.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
-    choose = _semi_global.select_disparities if config.semi_global else _select_local
-    disparity, validity = choose(left, right, config)
-    _drop_speckles(disparity, config)
-    if config.subpixel:
-        disparity, sigma = smooth(disparity, left)
-    else:
-        sigma = np.zeros_like(disparity)
-    return disparity, sigma, validity
-
-
-def _select_local(
-    left: FloatImage, right: FloatImage, config: MatchConfig
-) -> tuple[FloatImage, ByteImage]:
-    """Choose each pixel's best score by itself; NaN = none."""
-    pair, _ = lay_out(left, right, config, 0)
-    disparity = np.full(left.shape, np.nan, np.float32)
-    validity = np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
-    selection = Selection(
-        config.disparity_range,
-        config.min_disparity,
-        config.disp12_max_diff,
-        config.uniqueness_ratio,
-        config.subpixel,
-    )
-    over_strips(
-        lambda start, stop: select_strip(pair, selection, disparity, validity, start, stop),
-        len(left),
-        strip=48,
-    )
-    return disparity, validity
 
 
 def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> FloatImage:
@@ -205,7 +202,7 @@ def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> Floa
     Returns
     -------
     scores : (H, W, disparity_range) float32
-        Eq. 10 in [-1, 1]; NaN where a window leaves a picture, holds a pixel without data or
+        Eq. 10 in [-1, 1]; NaN where a window leaves an image, contains a pixel without data or
         has too little texture.
 
     Raises
@@ -218,21 +215,6 @@ def ncc_scores(left: FloatImage, right: FloatImage, config: MatchConfig) -> Floa
     scores = np.full((*left.shape, config.disparity_range), np.nan, np.float32)
     if min(left.shape) < config.correlation_window_size:
         return scores
-    pair, _ = lay_out(left, right, config, 0)
-    over_strips(lambda start, stop: score_strip(pair, scores, start, stop), len(left), strip=48)
+    pair, _ = prepare_pair(left, right, config, border=0)
+    over_strips(score_strip, len(left), pair, scores, strip=48)
     return scores
-
-
-def _drop_speckles(disparity: FloatImage, config: MatchConfig) -> None:
-    """Invalidate connected regions smaller than ``speckle_size``."""
-    if config.speckle_size == 0:
-        return
-    # steps per px such that every disparity fits 16 bits
-    steps = min(16, 32000 // config.disparity_range)
-    whole = np.empty(disparity.shape, np.int16)
-    first = config.min_disparity - 1.0
-    over_strips(
-        lambda start, stop: to_steps(disparity, first, steps, whole, start, stop), len(whole)
-    )
-    cv2.filterSpeckles(whole, -1, config.speckle_size, config.speckle_range * steps)
-    over_strips(lambda start, stop: drop_negative(whole, disparity, start, stop), len(whole))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement: disparities are smoothed along planes."""
+"""Refinement: speckles are dropped, and disparities are smoothed along planes."""
 
 from __future__ import annotations
 
@@ -8,68 +8,80 @@ import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
+from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.holes.completion import fill_from_background
-from binocular_recon.stereo.matching._layout import exposure_gain
+from binocular_recon.stereo.matching._preparation import exposure_gain
 from binocular_recon.stereo.matching._refinement_kernels import (
     BORDER,
     MEDIAN_BORDER,
+    drop_negative,
+    pad_strip,
     plane_strip,
-    put_inside,
+    quantise,
     weighted_median_strip,
 )
 
-# Standard deviation of a smooth disparity: what all pixels share (interpolation, rectification),
-# and a factor on what planes leave (errors of neighbours are alike). From Motorcycle, cones and
-# teddy, whose pixels' errors rise from 0.15 to 0.45 px with what planes leave.
+# Standard deviation of a smoothed disparity: a constant (interpolation, rectification), and a
+# factor on the residuals of the plane (errors of neighbours are correlated). Measured on
+# Motorcycle, cones and teddy, where errors rise from 0.15 to 0.45 px with the residuals.
 COMMON_SIGMA_PX = 0.15
 RESIDUAL_FACTOR = 1.5
-# Samples farther than this from a pixel's disparity belong to another surface.
+# Samples whose disparity differs by more than this belong to another surface.
 SAME_SURFACE_PX = 1.5
-# Weighted median: step of grey level that halves a weight, and from where a disparity is wrong.
+# Weighted median: difference of grey levels that halves a weight, and the difference from the
+# median above which a disparity is replaced.
 SAME_OBJECT_LEVELS = 16.0
 WRONG_PX = 1.0
 
 
+def drop_speckles(disparity_px: FloatImage, config: MatchConfig) -> None:
+    """Set connected regions of fewer than ``speckle_size`` pixels to NaN, in place."""
+    if config.speckle_size == 0:
+        return
+    # cv2.filterSpeckles takes int16: as many steps per px as let every disparity fit
+    steps = min(16, 32000 // config.disparity_range)
+    whole = np.empty(disparity_px.shape, np.int16)
+    over_strips(quantise, len(whole), disparity_px, config.min_disparity - 1.0, steps, whole)
+    cv2.filterSpeckles(whole, -1, config.speckle_size, config.speckle_range * steps)
+    over_strips(drop_negative, len(whole), whole, disparity_px)
+
+
 def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, FloatImage]:
-    """Replace each disparity by a plane's through its neighbours on the same surface.
+    """Replace each disparity by the value of a plane through its neighbours on the same surface.
 
     Parameters
     ----------
     disparity_px : (H, W) float32
         Disparity; NaN = none.
     left : (H, W) float32
-        Left picture.
+        Left image, grey levels.
 
     Returns
     -------
     smooth_px : (H, W) float32
         NaN where ``disparity_px`` is.
     sigma_px : (H, W) float32
-        Its standard deviation, from what the planes leave; NaN = none.
+        Its standard deviation, from the residuals of the planes; NaN = none.
 
     Notes
     -----
-    Medians come first. One takes off single errors. The other weighs pixels by how like in grey
-    level they are, which moves borders of objects, widened by correlation windows, to where the
-    picture has them (Z. Ma et al., "Constant time weighted median filtering for stereo matching
-    and beyond", ICCV 2013). Planes, not means: surfaces are rarely parallel to the pictures.
+    Two medians come first. One removes single errors. The other weights pixels by the similarity
+    of their grey levels, which moves the edges of objects, widened by the correlation window, to
+    where the image has them (Z. Ma et al., "Constant time weighted median filtering for stereo
+    matching and beyond", ICCV 2013). Planes and not means, because surfaces are rarely parallel to
+    the image plane.
 
     """
     height, width = disparity_px.shape
     filled = cv2.medianBlur(fill_from_background(disparity_px), 5)
-    # levels of a picture whose contrast does not change with the exposure
+    # relative to the contrast of the image, so that the exposure does not matter
     softness = SAME_OBJECT_LEVELS / exposure_gain(left)
-    values = _inside(filled, filled, MEDIAN_BORDER)
-    guide = _inside(left, left, MEDIAN_BORDER)
+    values = _padded(filled, filled, MEDIAN_BORDER)
+    guide = _padded(left, left, MEDIAN_BORDER)
     median = np.empty((height, width + LANES), np.float32)
-    over_strips(
-        lambda start, stop: weighted_median_strip(
-            values, guide, softness, WRONG_PX, median, start, stop
-        ),
-        height,
-    )
-    samples = _inside(median[:, :width], disparity_px, BORDER)
+    over_strips(weighted_median_strip, height, values, guide, softness, WRONG_PX, median)
+    samples = _padded(median[:, :width], disparity_px, BORDER)
     plane = np.empty((height, width + LANES), np.float32)
     sigma = np.empty((height, width + LANES), np.float32)
 
@@ -84,11 +96,9 @@ def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, Floa
     return plane[:, :width].copy(), sigma[:, :width].copy()
 
 
-def _inside(values: FloatImage, shown: FloatImage, border: int) -> FloatImage:
-    """Return values, where ``shown`` is not NaN, inside a border of NaN and spare lanes."""
+def _padded(values: FloatImage, mask: FloatImage, border: int) -> FloatImage:
+    """Return values, NaN where ``mask`` is NaN, with a border of NaN and spare lanes."""
     height, width = values.shape
-    bordered = np.empty((height + 2 * border, width + 2 * border + LANES), np.float32)
-    over_strips(
-        lambda start, stop: put_inside(values, shown, border, bordered, start, stop), height
-    )
-    return bordered
+    padded = np.empty((height + 2 * border, width + 2 * border + LANES), np.float32)
+    over_strips(pad_strip, height, values, mask, border, padded)
+    return padded

@@ -18,7 +18,7 @@ from binocular_recon.measurement.ruler import Ruler
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.scene import build_scene, rectified_view, true_disparity
 from binocular_recon.stereo.filtering.wls_filter import Filtered
-from binocular_recon.stereo.matching.matcher import Match
+from binocular_recon.stereo.matching import Match
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange

@@ -18,14 +18,14 @@ from binocular_recon.stereo.matching._refinement_kernels import (
     MEDIAN_SPACING,
     weighted_median_strip,
 )
-from binocular_recon.stereo.matching.refinement import SAME_SURFACE_PX, _inside, smooth
+from binocular_recon.stereo.matching.refinement import SAME_SURFACE_PX, _padded, smooth
 
 pytestmark = pytest.mark.kernel
 NAN = np.nan
 
 
-def test_columns_that_the_right_camera_does_not_see_are_explained() -> None:
-    for side in (1, -1):  # a negative disparity hides columns on the right
+def test_half_occlusion_explains_columns_at_the_border() -> None:
+    for side in (1, -1):  # a negative disparity: at the right border
         disparity = np.full((1, 90), 20 * side, np.float32)
         disparity[0, :25] = NAN
         assert not unexplained_holes(disparity[:, ::side]).any()
@@ -69,14 +69,14 @@ def test_complete_keeps_what_was_measured() -> None:
     np.testing.assert_allclose(weight[holes], COMPLETED_CONFIDENCE)
 
 
-def test_holes_wider_than_what_is_hidden_take_the_column() -> None:
+def test_holes_wider_than_half_occlusion_take_the_column() -> None:
     disparity = np.full((30, 60), 9, np.float32)
     disparity[:, 30:] = 21
-    hidden, wide = disparity.copy(), disparity.copy()
-    hidden[10:15, 18:36] = NAN  # 12 px of disparity hide 12 columns; windows reach 6 more
+    occluded, wide = disparity.copy(), disparity.copy()
+    occluded[10:15, 18:36] = NAN  # a step of 12 px occludes 12 columns; windows reach 6 more
     wide[10:15, 18:50] = NAN
     confidence = np.ones((30, 60), np.float32)
-    completed = complete(hidden, confidence)[0]
+    completed = complete(occluded, confidence)[0]
     np.testing.assert_array_equal(completed[12, 18:36], 9)
     completed = complete(wide, confidence)[0]
     np.testing.assert_array_equal(completed[12, 18:28], 9)
@@ -116,7 +116,7 @@ def test_weighted_median_equals_its_naive_twin() -> None:
     values[4, 5:9] = levels[9, 20] = NAN
     median = np.empty((17, 37 + LANES), np.float32)
     weighted_median_strip(
-        _inside(values, values, border), _inside(levels, levels, border), 16.0, 1.0, median, 0, 17
+        _padded(values, values, border), _padded(levels, levels, border), 16.0, 1.0, median, 0, 17
     )
     offsets = range(-border, border + 1, MEDIAN_SPACING)
     for y, x in np.ndindex(shape):
@@ -137,7 +137,7 @@ def test_weighted_median_equals_its_naive_twin() -> None:
         assert abs(median[y, x] - expected) < 0.05
 
 
-def test_borders_move_to_where_the_picture_has_them() -> None:
+def test_edges_move_to_where_the_image_has_them() -> None:
     guide = np.full((40, 60), 50, np.float32)
     guide[:, 30:] = 150
     disparity = np.where(np.arange(60) < 28, 4, 18) * np.ones((40, 1), np.float32)
@@ -146,13 +146,13 @@ def test_borders_move_to_where_the_picture_has_them() -> None:
     np.testing.assert_allclose(smoothed[:, 30:], 18, atol=0.05)
 
 
-def test_columns_out_of_sight_continue_the_slope() -> None:
+def test_columns_that_the_right_camera_does_not_see_continue_the_slope() -> None:
     rng = np.random.default_rng(2)
     y, x = np.mgrid[:80, :100].astype(np.float32)
     truth = (20 + 0.06 * x + 0.05 * y).astype(np.float32)
     disparity = truth + rng.normal(0, 0.05, truth.shape).astype(np.float32)
     disparity[x < truth] = NAN
-    disparity[:, 70:78] = NAN  # not at the border: as without
+    disparity[:, 70:78] = NAN  # not at the border: as without extrapolation
     confidence = np.ones_like(disparity)
     constant, _ = complete(disparity, confidence)
     continued, weight = complete(disparity, confidence, extrapolate=True)

@@ -12,21 +12,26 @@ from binocular_recon import _jit
 from binocular_recon.config import ChainConfig, MatchConfig
 from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.stereo.matching.consensus import AGREEMENT_PX, agree, carry_over, members
-from binocular_recon.stereo.matching.matcher import match
+from binocular_recon.stereo.matching import match
+from binocular_recon.stereo.matching.consensus import (
+    AGREEMENT_PX,
+    to_left_image,
+    vote,
+    voter_configs,
+)
 from binocular_recon.stereo.pipeline import estimate_disparity
 
 SLANTED = ChainConfig.preset('accurate', disparity_range=32)
 
 
 def slanted_pair() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8], FloatImage]:
-    """Return pictures of a plane with noise, 100 x 160, and its disparity."""
+    """Return images of a plane with noise, 100 x 160, and its disparity."""
     rng = np.random.default_rng(3)
     whole = cv2.GaussianBlur(rng.normal(size=(100, 220)), (0, 0), 1.5).astype(np.float32)
     whole = 128 + 40 * whole / whole.std()
     y, x = np.mgrid[:100, :160].astype(np.float32)
     truth = 16 - 0.08 * x + 0.05 * y
-    # the right picture shows at x what lies at left column c: c - truth(c) = x
+    # the right image shows at x what lies at left column c: c - truth(c) = x
     c = (x + 16 + 0.05 * y) / 1.08
     right = cv2.remap(whole, c + 30, y, cv2.INTER_CUBIC)
     left, right = (
@@ -41,7 +46,7 @@ def slanted_pair() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8], FloatI
 )
 def test_neighbouring_windows_vote(size: int, expected: list[int]) -> None:
     config = MatchConfig(correlation_window_size=size, small_step_penalty=20, consensus=True)
-    voters = members(config)
+    voters = voter_configs(config)
     assert [voter.correlation_window_size for voter in voters] == expected
     assert all(voter.small_step_penalty == 20 and not voter.consensus for voter in voters)
 
@@ -51,7 +56,7 @@ def test_votes_equal_the_naive_twin() -> None:
     disparities = (7 + rng.normal(0, 0.5, (4, 37, 23))).astype(np.float32)
     disparities[rng.uniform(size=disparities.shape) < 0.4] = np.nan
     sigmas = rng.uniform(0.1, 0.9, disparities.shape).astype(np.float32)
-    disparity, sigma = agree(list(disparities), list(sigmas))
+    disparity, sigma = vote(list(disparities), list(sigmas))
     expected, spread = np.full((2, 37, 23), np.nan)
     for y, x in np.ndindex(37, 23):
         known = ~np.isnan(disparities[:, y, x])
@@ -67,7 +72,7 @@ def test_votes_equal_the_naive_twin() -> None:
 
 
 @pytest.mark.kernel
-def test_disparities_move_to_the_left_picture() -> None:
+def test_disparities_move_to_the_left_image() -> None:
     rng = np.random.default_rng(4)
     disparity = rng.uniform(-6, 9, (35, 24)).astype(np.float32)
     disparity[rng.uniform(size=disparity.shape) < 0.3] = np.nan
@@ -78,7 +83,7 @@ def test_disparities_move_to_the_left_picture() -> None:
         if 0 <= column < 24 and not expected[y, column] > disparity[y, x]:
             expected[y, column], spread[y, column] = disparity[y, x], sigma[y, x]
     assert 0.3 < np.isnan(expected).mean() < 0.7
-    moved = carry_over(disparity, sigma)
+    moved = to_left_image(disparity, sigma)
     np.testing.assert_array_equal(moved[0], expected)
     np.testing.assert_array_equal(moved[1], spread)
 
@@ -87,11 +92,11 @@ def test_disparities_move_to_the_left_picture() -> None:
 @pytest.mark.parametrize(('height', 'width'), [(1, 1), (40, 1), (1, 40), (6, 9), (11, 23)])
 def test_any_size_works(height: int, width: int) -> None:
     left = np.random.default_rng(1).uniform(0, 255, (height, width)).astype(np.float32)
-    for picture in (left, np.full_like(left, np.nan)):
-        found = match(picture, picture, SLANTED.match)
+    for image in (left, np.full_like(left, np.nan)):
+        found = match(image, image, SLANTED.match)
         assert found.disparity_px.shape == found.confidence.shape == (height, width)
         assert not found.confidence[np.isnan(found.disparity_px)].any()
-        assert np.isnan(found.disparity_px).all() or np.isfinite(picture).all()
+        assert np.isnan(found.disparity_px).all() or np.isfinite(image).all()
 
 
 @pytest.mark.large
@@ -121,17 +126,17 @@ def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.large
 @pytest.mark.kernel
-def test_a_slanted_plane_is_continued_out_of_sight() -> None:
+def test_a_slanted_plane_is_continued_where_the_right_camera_does_not_see() -> None:
     left, right, truth = slanted_pair()
     error = {}
     for preset in ('default', 'accurate'):
         config = ChainConfig.preset(preset, disparity_range=32)
         disparity = estimate_disparity(left, right, config).filtered.disparity_px
         error[preset] = np.abs(disparity - truth)
-    out_of_sight = np.mgrid[:100, :160][1] < truth
-    assert error['accurate'][out_of_sight].mean() < 0.6 * error['default'][out_of_sight].mean()
-    assert error['accurate'][out_of_sight].mean() < 0.7
-    assert error['accurate'][~out_of_sight].mean() < error['default'][~out_of_sight].mean()
+    unseen = np.mgrid[:100, :160][1] < truth
+    assert error['accurate'][unseen].mean() < 0.6 * error['default'][unseen].mean()
+    assert error['accurate'][unseen].mean() < 0.7
+    assert error['accurate'][~unseen].mean() < error['default'][~unseen].mean()
 
 
 @pytest.mark.large

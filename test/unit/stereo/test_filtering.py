@@ -37,7 +37,7 @@ NAN = np.float32(np.nan)
 def scene(
     seed: int, shape: tuple[int, int] = (20, 28)
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """Return disparity with gaps, confidence and guide of a box before a wall."""
+    """Return disparity with holes, confidence and guide of a box before a wall."""
     rng = np.random.default_rng(seed)
     disparity = np.full(shape, 12.0)
     guide = np.full(shape, 90.0)
@@ -134,8 +134,8 @@ def test_completion_and_steps() -> None:
     assert np.abs(filtered.disparity_px - expected).max() <= 1e-3
 
 
-def test_a_border_without_contrast_stays() -> None:
-    """A box of the wall's own grey: eq. 12 alone smooths over its border."""
+def test_an_edge_without_contrast_stays() -> None:
+    """A box of the wall's own grey: eq. 12 alone smooths over its edge."""
     disparity, confidence, guide = scene(3, (40, 48))
     guide[:] = 120
     box = np.zeros(guide.shape, bool)
@@ -149,7 +149,7 @@ def test_a_border_without_contrast_stays() -> None:
     assert error(PLAIN) > 1.0
 
 
-def test_what_is_no_measurement() -> None:
+def test_what_is_not_a_measurement() -> None:
     """NaN, infinite, outside the limits, confidence 0 or NaN: all the same."""
     disparity, confidence, guide = scene(4)
     ways: list[tuple[Any, Any]] = [
@@ -190,7 +190,7 @@ def test_one_measured_pixel(config: FilterConfig) -> None:
 
 @pytest.mark.parametrize('shape', [(1, 1), (1, 40), (40, 1), (2, 3), (5, 5), (1, 2)])
 @pytest.mark.parametrize('config', [PLAIN, FilterConfig()])
-def test_thin_pictures(shape: tuple[int, int], config: FilterConfig) -> None:
+def test_thin_images(shape: tuple[int, int], config: FilterConfig) -> None:
     rng = np.random.default_rng(7)
     disparity = rng.uniform(5, 60, shape).astype(np.float32)
     guide = rng.uniform(0, 255, shape).astype(np.float32)
@@ -202,8 +202,8 @@ def test_thin_pictures(shape: tuple[int, int], config: FilterConfig) -> None:
         assert np.abs(filtered.disparity_px - expected).max() <= 1e-3
 
 
-def test_no_picture_is_no_edge() -> None:
-    """The border that rectification leaves: smooth, not cut off."""
+def test_no_data_is_not_an_edge() -> None:
+    """The empty border of a rectified image: smooth, not cut off."""
     disparity, confidence, guide = scene(8)
     guide[:, :4] = np.nan
     disparity[:, :4] = np.nan
@@ -239,12 +239,12 @@ def test_last_frames_result_as_first_guess() -> None:
     assert warm.iterations < cold.iterations
     assert difference(cold, warm) <= 1e-3
     holes = cold.disparity_px.copy()
-    holes[3, 4] = np.nan  # of no use, and no harm
+    holes[3, 4] = np.nan  # ignored
     assert difference(cold, run(disparity, confidence, guide, initial=holes)) == 0
 
 
-def test_frames_do_not_leave_anything_behind() -> None:
-    """Memory is used again: after any other frame, and of any size, the result is the same."""
+def test_frames_do_not_affect_later_ones() -> None:
+    """Memory is reused: the result is the same after any other frame, also of another size."""
     wls = DisparityFilter(FilterConfig())
     for seed, shape in ((11, (20, 28)), (12, (20, 28)), (13, (33, 7)), (14, (20, 28))):
         frame = scene(seed, shape)
@@ -255,7 +255,7 @@ def test_frames_do_not_leave_anything_behind() -> None:
 
 @pytest.mark.large
 def test_video_starts_from_the_last_frame() -> None:
-    """Same result within the tolerance, sooner; another size or scene does no harm."""
+    """Same result within the tolerance, sooner; also after another size or scene."""
     options: dict[str, Any] = {'wls_lambda': 20.0, 'wls_tolerance_px': 1e-3}
     config = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, **options)
     video = DisparityFilter(dataclasses.replace(config, wls_video=True))
@@ -302,8 +302,8 @@ def test_sigma_follows_match_scatter_and_hole() -> None:
     assert (result >= LEAST_SIGMA_PX).all()
 
 
-def test_whole_pixels_are_not_surer_than_their_rounding() -> None:
-    """A plane between 20.0 and 20.45 px, rounded to 20: no scatter shows what is lost."""
+def test_whole_pixels_are_not_more_certain_than_their_rounding() -> None:
+    """A plane between 20.0 and 20.45 px, rounded to 20: the scatter does not show the error."""
     ones, guide = np.ones((30, 40), np.float32), np.full((30, 40), 100, np.float32)
     plane = (20 + 0.45 * np.arange(40) / 40 * ones).astype(np.float32)
     whole = run(np.rint(plane), ones, guide, FilterConfig())
@@ -314,7 +314,7 @@ def test_whole_pixels_are_not_surer_than_their_rounding() -> None:
     assert run(shifted, ones, guide, FilterConfig()).sigma_px.min() > 0.28
 
 
-def test_a_hole_between_far_and_near_is_less_sure() -> None:
+def test_a_hole_between_far_and_near_is_less_certain() -> None:
     disparity = np.full((30, 60), 10, np.float32)
     ones, guide = np.ones_like(disparity), np.full_like(disparity, 100)
     disparity[:, 20:30] = np.nan
@@ -341,7 +341,7 @@ def test_sizes_differ(name: str) -> None:
 
 
 @pytest.mark.parametrize('shape', [(0, 5), (5,), (2, 3, 1)])
-def test_no_picture(shape: tuple[int, ...]) -> None:
+def test_not_an_image(shape: tuple[int, ...]) -> None:
     image = np.ones(shape, np.float32)
     with pytest.raises(ImageError, match='disparity must be'):
         run(image, image, image)

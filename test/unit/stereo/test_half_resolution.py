@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Half resolution: weak texture is filled, what is hidden is not."""
+"""Half resolution: holes of low texture are filled, half-occluded ones are not."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from binocular_recon.config import MatchConfig
+from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
     half_config,
-    has_weak_texture,
+    has_low_texture,
 )
-from binocular_recon.stereo.matching.matcher import match
 
 pytestmark = pytest.mark.kernel
 
@@ -31,9 +31,13 @@ def test_half_range_covers_the_whole_one(
     assert half.limits_px[1] >= (first + count - 1) / 2
 
 
-def test_only_holes_that_half_resolution_mostly_sees_are_filled() -> None:
+def test_only_holes_that_half_resolution_mostly_covers_are_filled() -> None:
     disparity, sigma = np.full((21, 41), 7, np.float32), np.full((21, 41), 0.2, np.float32)
-    for columns in (slice(4, 10), slice(16, 24), slice(34, 36)):  # weak, hidden, small
+    for columns in (
+        slice(4, 10),
+        slice(16, 24),
+        slice(34, 36),
+    ):  # low texture, half-occluded, small
         disparity[4:14, columns] = sigma[4:14, columns] = np.nan
     half, half_sigma = np.full((11, 21), 4, np.float32), np.full((11, 21), 0.3, np.float32)
     half[:, 9:12] = half[2, 2] = np.nan
@@ -46,23 +50,23 @@ def test_only_holes_that_half_resolution_mostly_sees_are_filled() -> None:
     np.testing.assert_array_equal(np.isnan(sigma), np.isnan(disparity))
 
 
-@pytest.mark.parametrize(('rows', 'step', 'weak'), [(20, 4, True), (4, 4, False), (20, 30, False)])
-def test_texture_is_weak_where_a_large_region_is_not_hidden(
-    rows: int, step: int, weak: bool
+@pytest.mark.parametrize(('rows', 'step', 'low'), [(20, 4, True), (4, 4, False), (20, 30, False)])
+def test_texture_is_low_where_a_large_hole_is_not_half_occluded(
+    rows: int, step: int, low: bool
 ) -> None:
     disparity = np.full((100, 200), 5, np.float32)
-    disparity[:, 90:] += step  # hides as many columns
-    disparity[40 : 40 + rows, 60:90] = np.nan  # 3 % or 0.6 % of the picture
-    assert has_weak_texture(disparity) == weak
+    disparity[:, 90:] += step  # occludes as many columns
+    disparity[40 : 40 + rows, 60:90] = np.nan  # 3 % or 0.6 % of the image
+    assert has_low_texture(disparity) == low
 
 
 @pytest.mark.large
 def test_texture_below_the_noise_is_matched() -> None:
     rng = np.random.default_rng(1)
-    weak = 100 + 4 * cv2.GaussianBlur(rng.normal(size=(80, 120)), (0, 0), 3) * 10
+    whole = 100 + 4 * cv2.GaussianBlur(rng.normal(size=(80, 120)), (0, 0), 3) * 10
     left, right = (
         (moved + rng.normal(scale=4, size=moved.shape)).astype(np.float32)
-        for moved in (weak[:, :-6], weak[:, 6:])
+        for moved in (whole[:, :-6], whole[:, 6:])
     )
     share = {}
     for half_resolution in (False, True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matching against reference values, a naive twin and scenes with known disparity."""
+"""Matching against reference values, a naive twin and images of known disparity."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
 from binocular_recon.options import OptionValue
 from binocular_recon.stereo.confidence import confidence_from_sigma, sigma_from_confidence
+from binocular_recon.stereo.matching import match, ncc_scores
 from binocular_recon.stereo.matching import matcher as matching
-from binocular_recon.stereo.matching.matcher import match, ncc_scores
+from binocular_recon.stereo.matching.refinement import drop_speckles
 from test import naive_ncc
 
 pytestmark = pytest.mark.kernel
@@ -25,12 +26,12 @@ REFERENCE = Path(__file__).parents[2] / 'data' / 'ncc.npz'
 
 
 def config(**options: OptionValue) -> MatchConfig:
-    """Return whole-range defaults for small pictures."""
+    """Return whole-range defaults for small images."""
     return ChainConfig.preset('default', **{'disparity_range': 16, **options}).match
 
 
 def texture(height: int, width: int, seed: int = 0, blur: float = 1.0) -> FloatImage:
-    """Return a random picture in whole grey levels, at least 16 within 0..255."""
+    """Return a random image in whole grey levels, at least 16 within 0..255."""
     noise = np.random.default_rng(seed).normal(size=(height, width))
     smooth = cv2.GaussianBlur(noise, (0, 0), blur)
     levels: FloatImage = np.rint(128 + 40 * smooth / smooth.std()).clip(0, 255).astype(np.float32)
@@ -66,7 +67,7 @@ def test_scores_equal_the_reference() -> None:
         (13, 24, 5, -7, 15, 10.0),
         (11, 40, 9, 4, 3, 1.0),
         (31, 33, 31, -2, 5, 0.0),
-        (9, 14, 3, 20, 4, 0.0),  # nothing in sight
+        (9, 14, 3, 20, 4, 0.0),  # no partner inside the image
         (9, 14, 3, -30, 4, 0.0),
     ],
 )
@@ -190,7 +191,7 @@ def test_any_window_and_range_work(size: int, first: int, count: int, semi_globa
 @both_ways
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('level', [0.0, 255.0, 77.0, np.nan])
-def test_pictures_without_texture_have_no_match(level: float, semi_global: bool) -> None:
+def test_images_without_texture_have_no_match(level: float, semi_global: bool) -> None:
     blank = np.full((30, 40), level, np.float32)
     found = match(blank, blank, config(semi_global=semi_global))
     assert np.isnan(found.disparity_px).all()
@@ -215,11 +216,11 @@ def test_errors_say_what_and_why() -> None:
     good = texture(20, 30)
     with pytest.raises(ImageError, match=r'left is \(20, 30\) and right \(20, 31\)'):
         match(good, texture(20, 31), config())
-    with pytest.raises(ImageError, match='grey pictures'):
+    with pytest.raises(ImageError, match='grey images'):
         match(good[None], good[None], config())
     with pytest.raises(
         ImageError,
-        match=r'right has grey levels from .* to 65[0-9]*.* floating-point pictures within 0\.\.1',
+        match=r'right has grey levels from .* to 65[0-9]*.* floating-point images within 0\.\.1',
     ):
         match(good, good * 257, config())
 
@@ -254,7 +255,7 @@ def test_exposure_does_not_matter(semi_global: bool) -> None:
 
 @pytest.mark.large
 @pytest.mark.parametrize('side', [0, 1])
-def test_less_contrast_of_one_picture_loses_no_texture(side: int) -> None:
+def test_less_contrast_of_one_image_loses_no_texture(side: int) -> None:
     # just above the threshold
     pair = [image / np.float32(45) + 100 for image in shifted_pair(60, 100, 6.5)]
     seen = []
@@ -273,12 +274,12 @@ def test_speckles_are_removed() -> None:
     disparity[20:32, 40:] = np.nan
     expected = disparity.copy()
     expected[5:10, 5:10] = np.nan
-    matching._drop_speckles(disparity, config(speckle_size=60))
+    drop_speckles(disparity, config(speckle_size=60))
     np.testing.assert_array_equal(disparity, expected)
 
 
 @pytest.mark.large
-def test_sigma_is_honest_and_no_constant() -> None:
+def test_sigma_is_calibrated_and_not_constant() -> None:
     left, right = shifted_pair(120, 200, 7.3)
     rng = np.random.default_rng(5)
     noise = np.linspace(0.5, 25, 120)[:, None] * rng.normal(size=left.shape)
@@ -301,11 +302,11 @@ def test_whole_pixels_have_unit_confidence() -> None:
 
 
 def test_crops_do_not_change_the_local_match() -> None:
-    left, right = shifted_pair(90, 120, 5.4)  # not whole levels: scores of 16-bit pictures
+    left, right = shifted_pair(90, 120, 5.4)  # not whole levels: scores of 16-bit images
     options = config(semi_global=False, correlation_window_size=7)
-    whole = matching._select_local(left, right, options)[0]
-    part = matching._select_local(left[13:71, 17:97], right[13:71, 17:97], options)[0]
-    # a window's radius from each border, and the whole search range from both sides
+    whole = matching._winner_takes_all(left, right, options)[0]
+    part = matching._winner_takes_all(left[13:71, 17:97], right[13:71, 17:97], options)[0]
+    # the radius of a window from each border, and the whole search range from both sides
     np.testing.assert_array_equal(part[3:-3, 19:-19], whole[16:68, 36:78])
     scores = ncc_scores(left, right, options)[16:68, 36:78]
     np.testing.assert_array_equal(

@@ -45,7 +45,7 @@ def make_rig(model: str = 'plumb_bob') -> tuple[StereoRig, FloatArray, FloatArra
 
 
 def project(points: FloatArray, camera: Camera) -> FloatArray:
-    """Project points in the camera's own frame to its raw picture."""
+    """Project points in the camera's own frame to its raw image."""
     zero = np.zeros(3)
     module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
     pixels: FloatArray = module.projectPoints(points[:, None], zero, zero, camera.K, camera.D)[0]
@@ -134,7 +134,7 @@ def test_alpha_0_has_no_empty_pixel_and_alpha_1_loses_none(model: str) -> None:
         assert map_y.min() <= 1 and map_y.max() >= SIZE[1] - 2
 
 
-def test_pictures_are_taken_from_where_the_maps_lead() -> None:
+def test_pixels_are_taken_from_where_the_maps_lead() -> None:
     rig = make_rig()[0]
     ramps = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
     rectifier = Rectifier(rig)
@@ -159,12 +159,18 @@ def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> Non
 @pytest.mark.parametrize(
     ('R', 'message'),
     [
-        (np.zeros((3, 3)), r'right camera: R is no rotation \(R R\^T is 1 from the identity, det'),
-        (1.01 * np.eye(3), r'R is no rotation \(R R\^T is 0\.02 from'),
-        (np.diag([1, 1, -1]), r'R is no rotation .* determinant -1\); calibrate as a stereo rig'),
+        (
+            np.zeros((3, 3)),
+            r'right camera: R is not a rotation \(R R\^T is 1 from the identity, det',
+        ),
+        (1.01 * np.eye(3), r'R is not a rotation \(R R\^T is 0\.02 from'),
+        (
+            np.diag([1, 1, -1]),
+            r'R is not a rotation .* determinant -1\); calibrate as a stereo rig',
+        ),
     ],
 )
-def test_what_is_no_rotation_is_refused(R: FloatArray, message: str) -> None:
+def test_what_is_not_a_rotation_is_refused(R: FloatArray, message: str) -> None:
     rig = make_rig()[0]
     with pytest.raises(CalibrationError, match=message):
         Rectifier(dataclasses.replace(rig, right=dataclasses.replace(rig.right, R=R)))
@@ -183,10 +189,10 @@ def test_wrong_size_is_refused() -> None:
         rectifier(good, bad)
 
 
-def test_pictures_larger_than_opencv_takes_are_refused() -> None:
+def test_images_larger_than_opencv_takes_are_refused() -> None:
     rig = make_rig()[0]
     left, right = (dataclasses.replace(camera, width=33_000) for camera in (rig.left, rig.right))
-    with pytest.raises(ImageError, match=r'of 33000x200 px cannot be rectified; .* 32766 px'):
+    with pytest.raises(ImageError, match=r'of 33000x200 px cannot be rectified: .* 32766 px'):
         Rectifier(StereoRig(left, right))
 
 

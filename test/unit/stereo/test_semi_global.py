@@ -12,7 +12,7 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._cost_kernels import new_cost_rows, next_cost_row
-from binocular_recon.stereo.matching._layout import CONTRAST, even_levels, exposure_gain
+from binocular_recon.stereo.matching._preparation import CONTRAST, exposure_gain, normalised_levels
 from binocular_recon.stereo.validity import Validity
 from test import naive_sgm
 
@@ -87,11 +87,11 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
     _, scored = naive_sgm.costs(
         left, right, config.correlation_window_size, first, count, noise=1.0
     )
-    levels = even_levels(left).astype(np.int64)
+    levels = normalised_levels(left).astype(np.int64)
     penalties = _semi_global._penalties(config)
     total = naive_sgm.aggregate(costs >> 3, levels, penalties.P1, penalties.P2.astype(np.int64))
     expected = naive_sgm.choose(total, costs, scored, first, tolerance)
-    disparity, validity = _semi_global.select_disparities(left, right, config)
+    disparity, validity = _semi_global.choose_disparities(left, right, config)
     np.testing.assert_array_equal(disparity, expected)
     np.testing.assert_array_equal(validity == Validity.MEASURED, np.isfinite(expected))
     assert 0.3 < np.isfinite(expected).mean() < 1
@@ -100,9 +100,9 @@ def test_disparities_equal_the_naive_twin(first: int, count: int, tolerance: flo
 def test_levels_do_not_change_with_the_exposure() -> None:
     left = np.random.default_rng(6).uniform(0, 255, (20, 30)).astype(np.float32)
     left[3, 4:9] = np.nan
-    levels = even_levels(left)
+    levels = normalised_levels(left)
     assert abs(levels[~np.isnan(left)].mean() - 128) < 1
     assert abs(levels[~np.isnan(left)].std() - CONTRAST) < 1
     np.testing.assert_array_equal(levels[3, 4:9], 0)
-    darker = even_levels(left * np.float32(0.6) + 20)
+    darker = normalised_levels(left * np.float32(0.6) + 20)
     assert np.abs(darker.astype(int) - levels).max() <= 1  # rounding

@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 70, 40
 BASELINE_M, FX, FY, CY = 0.8, 300.0, 310.0, 18.5
 
 MEASURED = np.full((HEIGHT, WIDTH), Validity.MEASURED, np.uint8)
-EVERY = CloudConfig(max_sigma='100%')  # but for a third of the depth
+EVERY = CloudConfig(max_sigma='100%')  # limited only by a third of the depth
 
 
 def make_rig(offset_px: float = 0.0) -> StereoRig:
@@ -32,7 +32,7 @@ def make_rig(offset_px: float = 0.0) -> StereoRig:
 
 @pytest.mark.kernel
 @pytest.mark.parametrize('offset_px', [-32.8, 0.0, 32.8])
-def test_points_project_back_to_both_pictures(offset_px: float) -> None:
+def test_points_project_back_to_both_images(offset_px: float) -> None:
     rig = make_rig(offset_px)
     rng = np.random.default_rng(3)
     disparity = (rng.uniform(1, 60, (HEIGHT, WIDTH)) + offset_px).astype(np.float32)
@@ -76,12 +76,12 @@ def test_no_point_without_disparity_behind_infinity_or_out_of_range() -> None:
 
 def test_size_of_another_rig_is_refused() -> None:
     disparity = np.zeros((HEIGHT + 1, WIDTH), np.float32)
-    with pytest.raises(ImageError, match=r'disparity is \(41, 70\) .* the rig has \(40, 70\)'):
+    with pytest.raises(ImageError, match=r'disparity is \(41, 70\), .* the rig has \(40, 70\)'):
         triangulate(disparity, disparity, MEASURED, make_rig(), EVERY)
 
 
 @pytest.mark.kernel
-def test_only_points_that_are_known_well_enough_are_kept() -> None:
+def test_only_points_of_small_sigma_are_kept() -> None:
     """Depth is 12 m everywhere; sigma_z = z^2 / (f B) sigma_d rises from 0 along the rows."""
     rig = make_rig()
     disparity = np.full((HEIGHT, WIDTH), FX * BASELINE_M / 12.0, np.float32)
@@ -106,6 +106,6 @@ def test_filled_points_are_kept_on_request_and_extrapolated_ones_never() -> None
 
 
 @pytest.mark.parametrize('text', ['', '0', '0%', '-1', 'much', '5 m', 'nan', 'inf'])
-def test_a_limit_that_is_none_is_refused(text: str) -> None:
+def test_what_is_not_a_limit_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r'max_sigma must be metres or a share .* such as 0\.05'):
         CloudConfig(max_sigma=text)

@@ -66,10 +66,11 @@ def test_each_pixel_has_one_origin_and_a_reason_unless_it_is_measured(preset: st
 def test_half_occluded_pixels_are_conflicts_and_out_of_view_extrapolated() -> None:
     made = synthetic_pair(320, 240, 48)
     validity = estimate(made.left, made.right).filtered.validity
-    hidden = ~made.visible
-    assert has(validity, Validity.MEASURED)[hidden].mean() < 0.25
+    half_occluded = ~made.visible
+    assert has(validity, Validity.MEASURED)[half_occluded].mean() < 0.25
     assert (
-        has(validity, Validity.CONFLICT)[hidden & ~has(validity, Validity.MEASURED)].mean() > 0.5
+        has(validity, Validity.CONFLICT)[half_occluded & ~has(validity, Validity.MEASURED)].mean()
+        > 0.5
     )
     # the columns that only the left camera sees
     assert has(validity, Validity.EXTRAPOLATED)[:, :3].mean() > 0.8
@@ -159,7 +160,7 @@ def test_disparities_at_the_limits_of_the_range_are_no_matches() -> None:
         assert not has(validity, Validity.MEASURED).any()
 
 
-def test_a_weak_wall_is_low_texture() -> None:
+def test_a_uniform_wall_is_low_texture() -> None:
     left, right = wall()
     left[60:180, 120:320] = right[60:180, 90:290] = 140
     found = estimate(*exposed(left, right, noise=0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solver of the filter: against direct solutions, with an honest estimate of its error."""
+"""Solver of the filter: against direct solutions, and its estimate of the error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from binocular_recon.stereo.filtering import _transfer_kernels as transfers
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._lattice_kernels import PAD
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.matching.matcher import match
+from binocular_recon.stereo.matching import match
 from test import naive_wls
 
 PAPER = (0.35, 1.8, 1e-4)
@@ -32,13 +32,13 @@ ROUNDING_PX = 2e-4
 class Equations(NamedTuple):
     data: FloatImage
     weight: FloatImage
-    link_x: FloatImage
-    link_y: FloatImage
+    link_east: FloatImage
+    link_south: FloatImage
 
     @property
     def system(self) -> System:
         system = System(*self.weight.shape)
-        system.assemble(self.weight, self.link_x, self.link_y)
+        system.assemble(self.weight, self.link_east, self.link_south)
         return system
 
     @property
@@ -54,20 +54,20 @@ def random_equations(
     weight = rng.random(shape) ** 3
     weight[rng.random(shape) < holes] = 0
     weight[height // 2, width // 2] = 0.5
-    link_x = 10 ** rng.normal(0, decades / 3, (height, width - 1))
-    link_y = 10 ** rng.normal(0, decades / 3, (height - 1, width))
-    arrays = (rng.uniform(0, 100, shape), weight, link_x, link_y)
+    link_east = 10 ** rng.normal(0, decades / 3, (height, width - 1))
+    link_south = 10 ** rng.normal(0, decades / 3, (height - 1, width))
+    arrays = (rng.uniform(0, 100, shape), weight, link_east, link_south)
     return Equations(*(a.astype(np.float32) for a in arrays))
 
 
-def picture_equations(
+def image_equations(
     shape: tuple[int, int],
     rng: np.random.Generator,
     options: tuple[float, float, float],
     *,
     unit: bool,
 ) -> Equations:
-    """Make a picture of noisy rectangles, its disparities, and holes unless ``unit``."""
+    """Make an image of noisy rectangles, its disparities, and holes unless ``unit``."""
     guide, data = np.full(shape, 90.0), np.full(shape, 20.0)
     for _ in range(25):
         y, x = rng.integers(0, shape[0]), rng.integers(0, shape[1])
@@ -81,8 +81,8 @@ def picture_equations(
         weight = rng.uniform(0.05, 1, shape)
         weight[rng.random(shape) < 0.15] = 0
         weight[shape[0] // 4 : shape[0] // 2, shape[1] // 3 : shape[1] // 2] = 0
-    link_x, link_y = naive_wls.links(naive_wls.log_luminance(guide), *options)
-    return Equations(*(a.astype(np.float32) for a in (data, weight, link_x, link_y)))
+    link_east, link_south = naive_wls.links(naive_wls.log_luminance(guide), *options)
+    return Equations(*(a.astype(np.float32) for a in (data, weight, link_east, link_south)))
 
 
 def matched_equations(preset: str, seed: int) -> Equations:
@@ -108,7 +108,7 @@ def many_equations(seed: int) -> Iterator[Equations]:
             shape, rng, decades=rng.uniform(1, 7), holes=rng.choice([0, 0.1, 0.6, 0.95])
         )
     for options, unit in ((PAPER, True), (PAPER, False), (DEFAULT, True), (DEFAULT, False)):
-        yield picture_equations((141, 90), rng, options, unit=unit)
+        yield image_equations((141, 90), rng, options, unit=unit)
     for preset in ('paper', 'default'):
         yield matched_equations(preset, seed)
 
@@ -127,7 +127,7 @@ def test_error_and_its_estimate(seed: int) -> None:
 
 
 @pytest.mark.kernel
-def test_error_and_its_estimate_on_small_pictures() -> None:
+def test_error_and_its_estimate_on_small_images() -> None:
     rng = np.random.default_rng(10)
     for shape in ((30, 41), (17, 36), (2, 70)):
         equations = random_equations(shape, rng, decades=3)
@@ -197,13 +197,13 @@ def test_a_coarse_matrix_is_galerkins() -> None:
         for row in range(6)
         for column in range(7)
     ]
-    picture = system._picture
+    grid = system._grid
     interpolation = np.zeros((12 * 13, len(nodes)))
     product = np.zeros((len(nodes), len(nodes)))
     for column, node in enumerate(nodes):
-        unit, fine, out = level.vector(), np.zeros_like(picture.weight), level.vector()
+        unit, fine, out = level.vector(), np.zeros_like(grid.weight), level.vector()
         unit[node] = 1
-        level.over(transfers.prolong, unit, first.transfer, fine)
+        level.run(transfers.prolong, unit, first.transfer, fine)
         interpolation[:, column] = system._pixels(fine).ravel()
         level.residual(level.vector(), unit, out)
         product[:, column] = -out[nodes]
@@ -219,20 +219,20 @@ def test_the_smoother_alone_converges() -> None:
     equations = random_equations((40, 30), rng, decades=3, holes=0.0)
     black = equations.system._black
     x, better, rest = black.vector(), black.vector(), black.vector()
-    right = black.vector()
-    black.residual(right, x, rest)
+    rhs = black.vector()
+    black.residual(rhs, x, rest)
     inside = black.lattice.excess > 0
     x[inside] = rng.normal(size=inside.sum()).astype(np.float32)
     first = np.abs(x).max()
     for _ in range(300):
-        black.smooth(right, x, better, correct=True)
+        black.smooth(rhs, x, better, correct=True)
         x, better = better, x
     assert np.abs(x).max() < 0.05 * first
 
 
 def test_strips_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut into strips, the smoother takes hardly more iterations."""
-    equations = picture_equations((300, 150), np.random.default_rng(7), DEFAULT, unit=False)
+    equations = image_equations((300, 150), np.random.default_rng(7), DEFAULT, unit=False)
     whole = equations.system.solve(equations.data, TOLERANCE_PX)
     monkeypatch.setattr(_grids, '_NODES_PER_STRIP', 2000)
     system = equations.system
@@ -244,7 +244,7 @@ def test_strips_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_number_of_threads_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_grids, '_NODES_PER_STRIP', 2000)
-    equations = picture_equations((300, 160), np.random.default_rng(8), PAPER, unit=True)
+    equations = image_equations((300, 160), np.random.default_rng(8), PAPER, unit=True)
     results = []
     for threads in (1, 2, 5):
         monkeypatch.setattr(_jit, 'thread_count', lambda threads=threads: threads)
@@ -256,7 +256,7 @@ def test_the_number_of_threads_does_not_matter(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_good_first_guess_saves_iterations() -> None:
     rng = np.random.default_rng(9)
-    equations = picture_equations((150, 200), rng, PAPER, unit=True)
+    equations = image_equations((150, 200), rng, PAPER, unit=True)
     system = equations.system
     cold = system.solve(equations.data, TOLERANCE_PX)
     noise = rng.normal(0, 0.02, equations.data.shape).astype(np.float32)
