@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon import __version__
 from binocular_recon.calibration.report import _charts as charts
 from binocular_recon.calibration.report._charts import METHODS
 from binocular_recon.calibration.report._numbers import numbers
@@ -20,7 +18,7 @@ from binocular_recon.calibration.result import (
     CalibrationResult,
     row_statistics,
 )
-from binocular_recon.drawing.page import PAGE, STYLE, figure, legend, section, table
+from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
 
 _UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
@@ -55,7 +53,7 @@ def render_report(result: CalibrationResult, pictures: Sequence[BoardPicture] = 
         _pictures(pictures),
         numbers(result),
     )
-    return PAGE.substitute(style=STYLE, sections='\n'.join(sections), version=escape(__version__))
+    return page('Stereo calibration', sections, 'Uncertainties are one standard deviation.')
 
 
 def _summary(result: CalibrationResult) -> str:
@@ -143,7 +141,7 @@ def _methods(result: CalibrationResult) -> str:
         ' polar-line correction. Adjusted: both cameras and every rod estimated together; this is'
         ' the calibration that was saved. Root mean square per image axis in the original'
         ' pictures, so that a perfect calibration shows the noise of the marks.',
-        figure(charts.board_errors(result), legend(*METHODS.items()), wide=True),
+        figure(charts.board_errors(result), legend(*METHODS.items()), kind='wide'),
         table(
             ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
             rows,
@@ -260,18 +258,14 @@ def _pictures(pictures: Sequence[BoardPicture]) -> str:
         return ''
     figures = []
     for name, jpeg, reason in pictures:
-        data = b64encode(jpeg).decode()
-        words = f'Board {escape(name)}' + (f' was left out: {escape(reason)}' if reason else '')
-        kind = ' class="left-out"' if reason else ''
-        figures.append(
-            f'<figure{kind}><img alt="Board {escape(name)}"'
-            f' src="data:image/jpeg;base64,{data}"><figcaption>{words}.</figcaption></figure>'
-        )
+        text = f'Board {escape(name)}' + (f' was left out: {escape(reason)}' if reason else '')
+        image = embedded_image(jpeg, 'jpeg', f'Board {escape(name)}')
+        figures.append(figure(image, f'{text}.', kind='left-out' if reason else ''))
     return section(
         'Pictures',
         'Left and right picture of each board. Green: marks that were used; red: marks that were'
         ' found and left out.',
-        f'<div class="pictures">{"".join(figures)}</div>',
+        f'<div class="images">{"".join(figures)}</div>',
     )
 
 

@@ -118,7 +118,7 @@ def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
 
 
 def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
-    """Detect the rods in both pictures of a board; what is wrong is told, not raised."""
+    """Detect the rods in both pictures of a board; problems are returned, not raised."""
     pair, sizes = [], []
     if files.left is None or files.right is None:
         return BoardReading(files, None, None, files.problem)
@@ -152,7 +152,7 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
 
 
 def read_captures(
-    folder: Path, board: RodBoard, told: Callable[[BoardReading], None] | None = None
+    folder: Path, board: RodBoard, on_board: Callable[[BoardReading], None] | None = None
 ) -> CaptureSet:
     """Detect the rods in all pictures of a folder.
 
@@ -162,7 +162,7 @@ def read_captures(
         Holds ``left_NAME.png`` and ``right_NAME.png``.
     board : RodBoard
         The rods.
-    told : callable, optional
+    on_board : callable, optional
         Told each board as it is finished.
 
     Raises
@@ -173,22 +173,22 @@ def read_captures(
         If no board could be found in any pair of pictures.
 
     """
-    return capture_set(read_boards(find_boards(folder), board, told), folder)
+    return capture_set(read_boards(find_boards(folder), board, on_board), folder)
 
 
 def read_boards(
     boards: Sequence[BoardFiles],
     board: RodBoard,
-    told: Callable[[BoardReading], None] | None = None,
+    on_board: Callable[[BoardReading], None] | None = None,
 ) -> list[BoardReading]:
-    """Detect the rods in the pictures of boards; what ``told`` raises ends it early."""
+    """Detect the rods in the pictures of boards; what ``on_board`` raises ends it early."""
     readings = []
     with ThreadPoolExecutor(thread_count()) as pool:
         try:
             for reading in pool.map(lambda files: read_board(files, board), boards):
                 readings.append(reading)
-                if told is not None:
-                    told(reading)
+                if on_board is not None:
+                    on_board(reading)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -159,7 +159,7 @@ def depth_by_band(scenes: Sequence[SceneScores]) -> str:
     return markdown_table([*header, *(f'{near:g}-{far:g} m' for near, far in bands)], rows)
 
 
-def sigma_honesty(scenes: Sequence[SceneScores]) -> str:
+def sigma_calibration(scenes: Sequence[SceneScores]) -> str:
     """Return RMS(error / sigma) of our methods on every scene; empty without any of ours."""
     chosen = [i for i, score in enumerate(scenes[0].scores) if score.sigma_rms is not None]
     if not chosen:
