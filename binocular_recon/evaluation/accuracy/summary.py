@@ -215,7 +215,7 @@ def _pooled_rms(values: Sequence[float], weights: object) -> float:
 
 
 def exposure_table(changes: Sequence[ExposureChange]) -> str:
-    """Return how bad-2.0 changes when the right picture is made darker; empty if not tried."""
+    """Return how bad-2.0 changes when the right image is made darker; empty if not tried."""
     names = list(dict.fromkeys(change.method for change in changes))
     rows = []
     for name in names:
@@ -236,7 +236,7 @@ def exposure_table(changes: Sequence[ExposureChange]) -> str:
 
 
 def crop_table(changes: Sequence[CropChange]) -> str:
-    """Return the largest change of disparity by cutting the pictures; empty if not tried."""
+    """Return the largest change of disparity by cutting the images; empty if not tried."""
     depths = sorted({change.depth_px for change in changes})
     rows = []
     for name in dict.fromkeys(change.method for change in changes):

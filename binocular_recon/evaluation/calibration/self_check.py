@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How good the calibration is: against the best possible one, and the paper's Tables 1 and 2.
 
-Marks are simulated as numbers, without pictures: a survey rig, boards at 5-16 m whose rods stand
+Marks are simulated as numbers, without images: a survey rig, boards at 5-16 m whose rods stand
 as exactly as stated, Gaussian noise on every mark. The Cramer-Rao bound is what no unbiased
 estimator can beat with the same boards and noise.
 """
