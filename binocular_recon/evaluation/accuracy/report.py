@@ -151,7 +151,9 @@ def _key_to_errors() -> str:
         ('no ground truth', f'rgb{UNKNOWN_COLOUR}'),
     ]
     return page_parts.section(
-        'Maps of the errors', 'Absolute error of each pixel.', page_parts.legend(*parts)
+        'Maps of the errors',
+        'Absolute error of each pixel.',
+        f'<div class="wide">{page_parts.legend(*parts)}</div>',
     )
 
 
