@@ -190,7 +190,7 @@ def _tables(findings: Findings) -> list[str]:
         summary.visibility(means),
         summary.by_scene(scenes),
         summary.depth_by_band(scenes),
-        summary.sigma_honesty(scenes),
+        summary.sigma_calibration(scenes),
         *summary.sigma_by_bin(scenes),
         summary.exposure_table(findings.exposure),
         summary.crop_table(findings.crop),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A point cloud as a picture from a slanting view, for people without a viewer at hand."""
+"""Draw a point cloud from an oblique view, for people without a viewer at hand."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from binocular_recon.images import ByteImage, FloatImage
 
-# Points are drawn in a larger picture that is then averaged down.
+# Points are drawn in a larger image that is then averaged down.
 _OVERSAMPLING = 2
 _BACKGROUND = (40, 34, 30)
 # A pixel whose neighbours' depths differ by more than this share lies on a border between
 # surfaces, where the disparity is neither's.
 _BORDER_DEPTH_SHARE = 0.03
-# Share of the points, %, that may lie outside of the picture at each side.
+# Share of the points, %, that may lie outside of the image at each side.
 _CUT_PERCENT = 1.0
 
 
@@ -53,13 +53,13 @@ def draw_cloud(
     bgr : (H, W, 3) uint8
         Colour of the points.
     size : (int, int)
-        Width and height of the picture.
+        Width and height of the image.
     view : CloudView, optional
         From where.
 
     Returns
     -------
-    picture : (height, width, 3) uint8
+    image : (height, width, 3) uint8
         BGR.
 
     """
@@ -106,7 +106,7 @@ def _turned(points: FloatImage, view: CloudView) -> FloatImage:
 
 
 def _fitted(seen: FloatImage, width: int, height: int) -> tuple[FloatImage, FloatImage, float]:
-    """Project so that the points fill the picture; returns columns, rows and focal length."""
+    """Project so that the points fill the image; returns columns, rows and focal length."""
     flat = seen[:, :2] / seen[:, 2:]
     low, high = np.percentile(flat, [_CUT_PERCENT, 100 - _CUT_PERCENT], axis=0)
     focal = float(0.96 * np.min(np.array([width, height]) / np.maximum(high - low, 1e-6)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Disparity maps as pictures."""
+"""Disparity maps as colour images."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def heat_map(
 
     Returns
     -------
-    picture : (H, W, 3) uint8
+    image : (H, W, 3) uint8
         BGR; black (0, 0, 0) stands for none and for nothing else.
 
     """
@@ -43,9 +43,9 @@ def heat_map(
     share = np.clip((disparity_px - low) / max(high - low, 1e-6), 0, 1)
     scaled = _FIRST_LEVEL + share * (_LAST_LEVEL - _FIRST_LEVEL)
     levels = np.where(valid, scaled, 0).astype(np.uint8)
-    picture: Any = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
-    picture[~valid] = 0
-    return picture  # type: ignore[no-any-return]
+    image: Any = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)
+    image[~valid] = 0
+    return image  # type: ignore[no-any-return]
 
 
 def heat_map_with_scale(disparity_px: npt.NDArray[np.float32], unit: str) -> Any:

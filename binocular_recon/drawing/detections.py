@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of what was detected, for the crew that puts up rods."""
+"""Images of what was detected, for the crew that puts up rods."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from binocular_recon.images import ByteImage
 
 _FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
-# Size of a mark and of letters, as a share of the picture's height.
+# Size of a mark and of letters, as a share of the image's height.
 _MARK_SHARE, _TEXT_SHARE = 1 / 120, 1 / 30
 
 
@@ -34,13 +34,13 @@ class DetectedMarks(Protocol):
 
 
 def draw_detections(
-    pictures: tuple[ByteImage, ByteImage], found: tuple[DetectedMarks, DetectedMarks]
+    images: tuple[ByteImage, ByteImage], found: tuple[DetectedMarks, DetectedMarks]
 ) -> ByteImage:
-    """Draw the marks of both pictures, side by side.
+    """Draw the marks of both images, side by side.
 
     Parameters
     ----------
-    pictures : pair of (H, W, 3) uint8
+    images : pair of (H, W, 3) uint8
         Left and right, BGR.
     found : pair of DetectedMarks
         What was found in them.
@@ -52,11 +52,11 @@ def draw_detections(
         missing.
 
     """
-    return np.hstack([_drawn(*side) for side in zip(pictures, found, strict=True)])
+    return np.hstack([_drawn(*side) for side in zip(images, found, strict=True)])
 
 
-def _drawn(picture: ByteImage, detection: DetectedMarks) -> ByteImage:
-    image = picture.copy()
+def _drawn(source: ByteImage, detection: DetectedMarks) -> ByteImage:
+    image = source.copy()
     height = image.shape[0]
     radius, scale = max(2, round(height * _MARK_SHARE)), height * _TEXT_SHARE / 30
     for number, (marks, present) in enumerate(

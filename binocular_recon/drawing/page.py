@@ -1,61 +1,118 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of the calibration report: its frame, its style and the parts of a section."""
+"""The HTML page of every report: its frame, its style and the parts of a section.
+
+A page is one file that needs nothing from the network, for the screen and for print.
+"""
 
 from __future__ import annotations
 
+import re
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 from string import Template
 
+import cv2
 
-def section(title: str, words: str, *content: str) -> str:
-    """Return a section with its title, an explanation and its figures and tables."""
-    return (
-        f'<section><h2>{title}</h2><p>{words}</p><div class="content">{"".join(content)}</div>'
-        '</section>'
+from binocular_recon import __version__
+from binocular_recon.images import ByteImage
+
+
+def page(title: str, sections: Iterable[str], footer: str = '') -> str:
+    """Return a whole page.
+
+    Parameters
+    ----------
+    title : str
+        Plain text.
+    sections : iterable of str
+        HTML of each section.
+    footer : str
+        Plain text behind the name and the version of the package.
+
+    """
+    return _PAGE.substitute(
+        title=escape(title),
+        style=_STYLE,
+        sections='\n'.join(sections),
+        footer=escape(f'binocular_recon {__version__}. {footer}'.strip()),
     )
 
 
-def figure(picture: str, caption: str, *, wide: bool = False) -> str:
-    """Return a picture with what it shows."""
-    kind = ' class="wide"' if wide else ''
-    return f'<figure{kind}>{picture}<figcaption>{caption}</figcaption></figure>'
+def section(title: str, text: str, *content: str) -> str:
+    """Return a section: its title, an explanation (HTML) and its figures and tables."""
+    return (
+        f'<section><h2>{escape(title)}</h2><p>{text}</p>'
+        f'<div class="content">{"".join(content)}</div></section>'
+    )
+
+
+def figure(content: str, caption: str, *, kind: str = '') -> str:
+    """Return a figure; content and caption are HTML. ``kind`` may be ``wide`` or ``left-out``."""
+    attribute = f' class="{kind}"' if kind else ''
+    return f'<figure{attribute}>{content}<figcaption>{caption}</figcaption></figure>'
+
+
+def embedded_image(data: bytes, format_: str, text: str) -> str:
+    """Return an image of the page: the bytes of a JPEG or PNG file, and what it shows."""
+    plain = escape(re.sub('<.*?>', '', text), quote=True)
+    encoded = b64encode(data).decode()
+    return f'<img loading="lazy" alt="{plain}" src="data:image/{format_};base64,{encoded}">'
+
+
+def image_figure(image: ByteImage, caption: str, *, photo: bool = False) -> str:
+    """Return a figure of a BGR image: a photo as JPEG, a map of colours exactly, as PNG."""
+    suffix, format_ = ('.jpg', 'jpeg') if photo else ('.png', 'png')
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    return figure(embedded_image(data, format_, caption), caption)
 
 
 def legend(*entries: tuple[str, str]) -> str:
-    """Return the key to colours, given as (name, colour)."""
+    """Return the key to colours, given as (name, CSS colour)."""
     return ' '.join(
         f'<span class="key"><i style="background:{color}"></i>{escape(name)}</span>'
         for name, color in entries
     )
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, kind: str = '') -> str:
-    """Return a table; its cells are HTML."""
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    kind: str = '',
+    marked: Iterable[int] = (),
+) -> str:
+    """Return a table; its cells are HTML. The rows numbered in ``marked`` stand out."""
     top = ''.join(f'<th>{escape(name)}</th>' for name in head)
-    body = ''.join('<tr>' + ''.join(f'<td>{cell}</td>' for cell in row) + '</tr>' for row in rows)
+    marked = set(marked)
+    body = ''.join(
+        ('<tr class="ours">' if number in marked else '<tr>')
+        + ''.join(f'<td>{cell}</td>' for cell in row)
+        + '</tr>'
+        for number, row in enumerate(rows)
+    )
     return f'<table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>'
 
 
-PAGE = Template("""<!DOCTYPE html>
+_PAGE = Template("""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Stereo calibration</title>
+<title>$title</title>
 <style>$style</style>
 </head>
 <body>
-<header><h1>Stereo calibration</h1></header>
+<header><h1>$title</h1></header>
 <main>
 $sections
 </main>
-<footer>binocular_recon $version. Uncertainties are one standard deviation.</footer>
+<footer>$footer</footer>
 </body>
 </html>
 """)
 
-STYLE = """
+_STYLE = """
 :root { color: #22313f; font: 16px/1.5 system-ui, 'Segoe UI', Helvetica, Arial, sans-serif; }
 body { margin: 0; background: #f3f5f7; }
 header { background: #0a3d4a; color: white; padding: 1.6rem max(1rem, calc(50% - 31rem)); }
@@ -85,15 +142,26 @@ figcaption { font-size: .85rem; color: #4a5a68; margin-top: .3rem; }
   margin-right: .35em; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums;
   width: 100%; }
+.scroll { grid-column: 1 / -1; overflow-x: auto; }
+.scroll th { white-space: normal; vertical-align: bottom; }
+.scroll td { white-space: nowrap; }
+tr.ours td { background: #eef6ee; }
 th { text-align: right; font-weight: 600; border-bottom: 2px solid #22313f;
   padding: .25rem .6rem; }
 td { text-align: right; border-bottom: 1px solid #e4e9ee; padding: .22rem .6rem; }
 th:first-child, td:first-child { text-align: left; }
 .total tbody tr:last-child td { font-weight: 600; border-top: 2px solid #22313f; }
-.pictures { grid-column: 1 / -1; display: grid; gap: 1rem 1.5rem;
+.images { grid-column: 1 / -1; display: grid; gap: 1rem 1.5rem;
   grid-template-columns: repeat(auto-fill, minmax(min(27rem, 100%), 1fr)); }
 figure img { border-radius: 3px; }
 .left-out figcaption { color: #c8553d; }
 .advice { grid-column: 1 / -1; margin: 0; padding-left: 1.3rem; }
-@media print { body { background: white; } section { break-inside: avoid; box-shadow: none; } }
+.small { grid-column: 1 / -1; display: grid; gap: .9rem;
+  grid-template-columns: repeat(auto-fill, minmax(18rem, 1fr)); }
+@page { size: A4; margin: 15mm; }
+@media print {
+  body { background: white; } header { background: none; color: black; padding: 0; }
+  section { break-inside: avoid; box-shadow: none; padding: 0; }
+  .small figure { break-inside: avoid; }
+}
 """

@@ -11,7 +11,7 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 
 INK, FAINT, GRID = '#22313f', '#71808f', '#e4e9ee'
-# Most numbers in a picture need no more digits than a tenth of a pixel.
+# Most numbers in a image need no more digits than a tenth of a pixel.
 _DIGITS = 1
 
 
@@ -117,7 +117,7 @@ class Chart:
         self.line(np.array(corners), FAINT, 1)
 
     def svg(self, title: str) -> str:
-        """Return the picture; ``title`` describes it to those who cannot see it."""
+        """Return the image; ``title`` describes it to those who cannot see it."""
         width, height = self.size
         return (
             f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}"'

@@ -92,7 +92,7 @@ class OpenCvMatcher:
         Returns
         -------
         function
-            Takes the left and the right picture, (H, W) uint8 grey, and the left one as the
+            Takes the left and the right image, (H, W) uint8 grey, and the left one as the
             filter's guide, (H, W, 3) uint8; returns the disparity in 1/16 px, (H, W) int16,
             negative = none.
 
@@ -157,7 +157,7 @@ def to_guide(image: Image) -> Image:
 def padded(image: Image, columns: int) -> Image:
     """Return the image with its first column repeated ``columns`` times to the left.
 
-    OpenCV's matchers leave the first columns of the left picture empty; so padded they can fill
+    OpenCV's matchers leave the first columns of the left image empty; so padded they can fill
     them.
     """
     return cv2.copyMakeBorder(  # type: ignore[no-any-return]

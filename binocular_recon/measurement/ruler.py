@@ -142,7 +142,7 @@ class Ruler:
         return float(np.linalg.norm(front - rear))
 
     def ray(self, pixel: FloatArray) -> FloatArray:
-        """Return the direction of a rectified pixel of the left picture, (3,), depth 1."""
+        """Return the direction of a rectified pixel of the left image, (3,), depth 1."""
         P = self._rig.left.P
         return np.array([(pixel[0] - P[0, 2]) / P[0, 0], (pixel[1] - P[1, 2]) / P[1, 1], 1.0])
 
@@ -165,7 +165,7 @@ class Ruler:
             lambda normal: bool(normal[1] > least * np.linalg.norm(normal)),
         )
         if normal is None:
-            raise ImageError('the cloud shows no level ground in the lower half of the picture')
+            raise ImageError('the cloud shows no level ground in the lower half of the image')
         return normal
 
     def _body_plane(self, top_px: FloatArray, sole_px: FloatArray) -> VerticalPlane:
@@ -225,7 +225,7 @@ class Ruler:
         return float(np.median(self._focal_baseline / ahead - on_plane))
 
     def _window(self, low: FloatArray, high: FloatArray) -> tuple[slice, slice]:
-        """Return rows and columns between two corners, within the picture."""
+        """Return rows and columns between two corners, within the image."""
         size = np.array(self._points.shape[1::-1])
         first = np.clip(np.rint(low), 0, size - 1).astype(int)
         last = np.clip(np.rint(high), 0, size - 1).astype(int)
@@ -261,7 +261,7 @@ def _through_wheels(
 def _information(reconstruction: Reconstruction) -> FloatArray:
     """Return how much each point of the cloud tells about its distance, (H, W).
 
-    A disparity is measured where the picture changes along the row and the match was clear;
+    A disparity is measured where the image changes along the row and the match was clear;
     elsewhere it is filled in from there.
     """
     change = cv2.Sobel(to_grey(reconstruction.left), cv2.CV_32F, 1, 0)

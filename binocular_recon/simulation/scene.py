@@ -137,7 +137,7 @@ def rectified_view(rig: StereoRig) -> View:
 
 
 def true_disparity(scene: Scene, rig: StereoRig) -> npt.NDArray[np.float32]:
-    """Return x_left - x_right of the rectified left picture: (H, W) float32, NaN = none."""
+    """Return x_left - x_right of the rectified left image: (H, W) float32, NaN = none."""
     depth, _ = trace_scene(scene, rectified_view(rig))
     disparity = rig.focal_px * rig.baseline_m / depth + rig.disparity_offset_px
     return disparity.astype(np.float32)

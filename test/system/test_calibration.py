@@ -3,114 +3,34 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo, Image
-from sensor_msgs.srv import SetCameraInfo
+from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from binocular_recon.calibration.session.calibration_files import FILES
 from binocular_recon.calibration.target.rods import save_rods
 from binocular_recon.camera import StereoRig
 from binocular_recon.io.calibration_yaml import read_rig
-from binocular_recon.simulation.capture import CaptureOptions, SimulatedCapture, simulate_capture
-from binocular_recon.simulation.rig import survey_rig
-from binocular_recon.simulation.rods import paper_board, with_placement
+from test.system.calibration_crew import (
+    BOARD,
+    BOARDS,
+    NODE,
+    RIG,
+    Cameras,
+    Operator,
+    contents,
+    simulated,
+)
 from test.system.conftest import StartNode
 from test.system.graph import Graph, NodeProcess, wait_until
-from test.system.rig import header, image_message
-
-NODE = '/rig/calibration_node'
-SIDES = ('left', 'right')
-IMAGES = [f'/rig/{side}/image_raw' for side in SIDES]
-BOARDS = 8
-# half the size of the survey rig's images, so boards stand at half the distance
-RIG = survey_rig(scale=0.5)
-BOARD = with_placement(paper_board(), 0.002)
-
-
-@cache
-def simulated(seed: int) -> SimulatedCapture:
-    options = CaptureOptions(depth_m=(3.5, 8.0), noise=1.0)
-    return simulate_capture(BOARD, RIG, np.random.default_rng([7, seed]), options)
-
-
-class Operator:
-    """Sends images as the cameras do and calls the services."""
-
-    def __init__(self, graph: Graph) -> None:
-        self._graph = graph
-        self._index = 0
-        self._images = {side: graph.publisher(f'/rig/{side}/image_raw', Image) for side in SIDES}
-
-    def show(self, left: np.ndarray, right: np.ndarray) -> None:
-        """Send one pair."""
-        self._index += 1
-        for side, image in (('left', left), ('right', right)):
-            self._images[side].publish(image_message(image, header(self._index, side)))
-
-    def call(self, service: str) -> Any:
-        return self._graph.call(f'{NODE}/{service}', Trigger, Trigger.Request())
-
-    def capture(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Send a pair and capture it once the node has it."""
-        before = self.received()
-        for _ in range(10):  # one that was sent while a node joined may be lost
-            self.show(left, right)
-            with contextlib.suppress(AssertionError):
-                wait_until(lambda: self.received() > before, 'the pair at the node', 3.0)
-                break
-        return self.call('capture')
-
-    def received(self) -> int:
-        """Return how many pairs the node has received."""
-        status = self._graph.status(NODE)
-        values = {pair.key: pair.value for pair in status.values} if status else {}
-        return int(values.get('received sets', 0))
-
-    def wait_for_node(self) -> None:
-        """Wait until the node receives images and its diagnostics are no longer of another one."""
-        self._graph.next_status(NODE)
-        self._graph.wait_for_subscriber(*IMAGES)
-
-
-def contents(folder: Path, names: tuple[str, ...] = FILES) -> dict[str, bytes]:
-    return {name: (folder / name).read_bytes() for name in names}
-
-
-class Cameras:
-    """Drivers that offer set_camera_info; the right one accepts a calibration only once."""
-
-    def __init__(self, graph: Graph) -> None:
-        self._graph = graph
-        self.taken: dict[str, list[CameraInfo]] = {side: [] for side in SIDES}
-        self._services = [graph.do(partial(self._offer, side)) for side in SIDES]
-
-    def close(self) -> None:
-        for service in self._services:
-            self._graph.do(partial(self._graph.node.destroy_service, service))
-
-    def _offer(self, side: str) -> Any:
-        def answer(request: Any, response: Any) -> Any:
-            self.taken[side].append(request.camera_info)
-            response.success = side == 'left' or len(self.taken[side]) == 1
-            if not response.success:
-                response.status_message = 'the flash is locked'
-            return response
-
-        return self._graph.node.create_service(
-            SetCameraInfo, f'/rig/{side}/set_camera_info', answer
-        )
 
 
 @dataclass
@@ -295,53 +215,3 @@ def test_a_calibration_of_dropped_boards_is_not_saved(day: Day) -> None:
     message = day.message('save after reset', success=False)
     assert f'{BOARDS} of the {BOARDS} boards of the calibration were dropped since' in message
     assert contents(day.output) == day.saved
-
-
-def test_rods_that_move_are_not_captured(
-    graph: Graph, start_node: StartNode, tmp_path: Path
-) -> None:
-    save_rods(BOARD, tmp_path / 'rods.yaml')
-    node = start_node('calibration_node', rods=tmp_path / 'rods.yaml', output=tmp_path / 'rig')
-    operator = Operator(graph)
-    operator.wait_for_node()
-    shown = simulated(1)
-    client = graph.do(partial(graph.node.create_client, Trigger, f'{NODE}/capture'))
-    assert client.wait_for_service(10)
-    offsets_px = itertools.cycle(range(100))
-
-    def show_moving_rods() -> None:
-        offset_px = next(offsets_px)
-        operator.show(*(np.roll(image, offset_px, axis=1) for image in (shown.left, shown.right)))
-
-    def received() -> bool:
-        show_moving_rods()
-        return operator.received() > 0
-
-    def answered() -> bool:
-        show_moving_rods()
-        return bool(call.done())
-
-    wait_until(received, 'a pair at the node', every_s=0.1)
-    call = client.call_async(Trigger.Request())
-    wait_until(answered, 'the answer', every_s=0.1)
-    answer = call.result()
-    assert not answer.success
-    assert re.search(r'the marks moved by \d+\.\d px', answer.message), answer.message
-    assert node.stop() == 0
-
-
-@pytest.mark.parametrize(
-    ('parameters', 'message'),
-    [
-        ({}, 'parameter rods is empty'),
-        ({'rods': '/nowhere/rods.yaml', 'output': 'out'}, '/nowhere/rods.yaml'),
-    ],
-)
-def test_node_refuses_to_start(
-    tmp_path: Path, parameters: dict[str, object], message: str
-) -> None:
-    node = NodeProcess('calibration_node', tmp_path / 'log', **parameters)
-    wait_until(lambda: node.process.poll() is not None, 'the end of the node')
-    assert node.process.returncode == 1
-    assert message in node.text()
-    assert 'Traceback' not in node.text(), node.text()

@@ -13,7 +13,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.config import FilterConfig, MatchConfig
-from binocular_recon.images import to_grey
+from binocular_recon.images import FloatImage, mark_empty, to_grey
+from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.stereo.filtering.wls_filter import filter_disparity
@@ -45,6 +46,13 @@ KINDS: dict[str, type[Any]] = {
 REQUIRED = list(KINDS)[:4]
 # images that wait for their disparities, at most; DDS holds them too, should the node be busy
 FRAMES = 36
+
+
+def grey(image: ImageArray) -> FloatImage:
+    """Return the grey levels that the nodes work on: NaN where rectification left nothing."""
+    levels = to_grey(image)
+    mark_empty(levels)
+    return levels
 
 
 class Matcher:
@@ -87,9 +95,7 @@ def test_disparity_of_either_convention(
 ) -> None:
     rectify = Rectifier(raw_rig(offset_px))
     left, right = rectify(*image_pair(5))
-    raw = stereo_image_proc.in_sixteenths(
-        match(to_grey(left), to_grey(right), CONFIG).disparity_px
-    )
+    raw = stereo_image_proc.in_sixteenths(match(grey(left), grey(right), CONFIG).disparity_px)
     valid = np.isfinite(raw)
     assert 0.4 < valid.mean() < 0.95
     message = DisparityImage()
@@ -105,7 +111,7 @@ def test_disparity_of_either_convention(
     expected = filter_disparity(
         raw.astype(np.float32),
         valid.astype(np.float32),
-        to_grey(left),
+        grey(left),
         FilterConfig(),
         limits_px=CONFIG.limits_px,
     )
@@ -118,7 +124,7 @@ def test_disparity_of_either_convention(
 
 RECTIFY = Rectifier(raw_rig())
 LEFT, RIGHT = RECTIFY(*image_pair(5))
-MATCH = match(to_grey(LEFT), to_grey(RIGHT), CONFIG)
+MATCH = match(grey(LEFT), grey(RIGHT), CONFIG)
 
 
 def disparity(**members: Any) -> DisparityImage:
@@ -205,7 +211,7 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
     expected = filter_disparity(
         MATCH.disparity_px,
         MATCH.confidence,
-        to_grey(LEFT),
+        grey(LEFT),
         FilterConfig(),
         limits_px=CONFIG.limits_px,
     )

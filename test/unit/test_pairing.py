@@ -3,50 +3,12 @@ from __future__ import annotations
 
 import random
 import threading
-from collections.abc import Iterable
 from typing import Any
 
 import pytest
 
 from binocular_recon.pairing import Synchronizer
-
-MS = 1_000_000
-NAMES = ('left', 'left_info', 'right', 'right_info')
-
-
-class Message:
-    """Compares with nothing: a synchronizer that compares messages would fail."""
-
-    def __init__(self, name: str, stamp_ns: int, run: int = 0) -> None:
-        self.name, self.stamp_ns, self.run = name, stamp_ns, run
-
-    def __eq__(self, other: object) -> bool:
-        raise AssertionError('messages must not be compared')
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __bool__(self) -> bool:
-        raise AssertionError('messages have no truth value')
-
-
-def feed(synchronizer: Synchronizer, messages: Iterable[Message]) -> list[tuple[Any, ...]]:
-    sets = []
-    for message in messages:
-        sets += synchronizer.add(message.name, message.stamp_ns, message)
-    return sets
-
-
-def interleaved(streams: list[list[Message]], generator: random.Random) -> list[Message]:
-    """Merge streams at random; each keeps its own order, as on one topic."""
-    streams, merged = [list(stream) for stream in streams], []
-    while any(streams):
-        stream = generator.choice([stream for stream in streams if stream])
-        merged.append(stream.pop(0))
-    return merged
-
-
-def stamps(sets: list[tuple[Any, ...]]) -> list[tuple[int | None, ...]]:
-    return [tuple(m.stamp_ns if m is not None else None for m in found) for found in sets]
+from test.unit.pairing_tools import MS, NAMES, Message, feed, interleaved, stamps
 
 
 @pytest.mark.parametrize('count', [2, 3, 4])
@@ -221,74 +183,6 @@ def test_nothing_misses_in_incomplete_sets_whose_stamps_agree() -> None:
     for k in range(9):
         feed(synchronizer, [Message(NAMES[i], k * MS) for i in range(3) if i != 1 + k % 2])
     assert synchronizer.explain() is None
-
-
-def lagging(lag: int, count: int = 40, every: int = 1) -> list[Message]:
-    """Return images, and a disparity of each ``every``-th one, ``lag`` images later."""
-    messages = []
-    for k in range(count):
-        messages.append(Message('left', 33 * k * MS))
-        if k >= lag and k % every == 0:
-            messages.append(Message('disparity', 33 * (k - lag) * MS))
-    return messages
-
-
-@pytest.mark.parametrize('every', [1, 8])
-def test_images_wait_for_their_disparities(every: int) -> None:
-    synchronizer = Synchronizer(('left', 'disparity'), queue_size=10)
-    messages = lagging(9, every=every)
-    sets = feed(synchronizer, messages)
-    assert len(sets) == sum(m.name == 'disparity' for m in messages) >= 3
-    assert synchronizer.too_late() == {}
-
-
-@pytest.mark.parametrize('every', [1, 8])
-def test_late_messages_are_distinguished_from_stamps_that_miss(every: int) -> None:
-    synchronizer = Synchronizer(('left', 'disparity'), queue_size=10)
-    assert feed(synchronizer, lagging(16, every=every)) == []
-    assert synchronizer.too_late() == {'disparity': 17}
-    assert synchronizer.explain() is None
-    sufficient = Synchronizer(('left', 'disparity'), queue_size=17)
-    assert len(feed(sufficient, lagging(16, every=every))) >= 3
-
-
-def test_a_leader_that_comes_too_late() -> None:
-    synchronizer = Synchronizer(('disparity', 'left'), queue_size=5)
-    assert feed(synchronizer, lagging(7)) == []
-    assert synchronizer.too_late() == {'disparity': 8}
-
-
-def test_lateness_is_forgotten_when_it_has_passed() -> None:
-    synchronizer = Synchronizer(('left', 'disparity'), queue_size=5)
-    feed(synchronizer, lagging(9))
-    for k in range(50, 60):
-        assert synchronizer.too_late() == {'disparity': 10}
-        feed(synchronizer, [Message(name, 33 * k * MS) for name in ('left', 'disparity')])
-    assert synchronizer.too_late() == {}
-
-
-def test_nothing_comes_too_late_in_a_bag_that_loops() -> None:
-    """The clock of one input goes back before that of the other."""
-    synchronizer = Synchronizer(('left', 'disparity'), queue_size=5)
-    for _ in range(4):
-        feed(synchronizer, lagging(3, count=30))
-        assert synchronizer.too_late() == {}
-
-
-def test_an_input_that_is_not_expected_does_not_come_too_late() -> None:
-    synchronizer = Synchronizer(('left', 'disparity'), queue_size=5)
-    feed(synchronizer, lagging(9))
-    synchronizer.expect('disparity', expected=False)
-    assert synchronizer.too_late() == {}
-
-
-def test_what_is_older_than_a_set_is_dropped() -> None:
-    synchronizer = Synchronizer(('left', 'right'), queue_size=50)
-    for k in range(20):
-        feed(synchronizer, [Message('left', k * MS)])
-    assert stamps(feed(synchronizer, [Message('right', 18 * MS)])) == [(18 * MS, 18 * MS)]
-    assert synchronizer.dropped == {'left without partner': 18}
-    assert feed(synchronizer, [Message('right', k * MS) for k in (19,)]) != []
 
 
 def test_the_last_approximate_sets_come_at_the_end() -> None:

@@ -11,10 +11,10 @@ from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from binocular_recon.calibration.report.mark_errors import mark_errors_m
-    from binocular_recon.calibration.report.report import BoardPicture, render_report
+    from binocular_recon.calibration.report.report import BoardImage, render_report
 
 __all__ = [
-    'BoardPicture',
+    'BoardImage',
     'mark_errors_m',
     'render_report',
 ]

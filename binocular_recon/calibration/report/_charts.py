@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of the calibration report, one function each."""
+"""The images of the calibration report, one function each."""
 
 from __future__ import annotations
 
@@ -146,8 +146,8 @@ def plan(result: CalibrationResult) -> str:
 
 
 def coverage(result: CalibrationResult, side: str) -> str:
-    """Draw the marks in one picture, dark = far."""
-    chart = _picture(result)
+    """Draw the marks in one image, dark = far."""
+    chart = _image_chart(result)
     uv = slice(0, 2) if side == 'left' else slice(2, 4)
     pixels = result.estimate.problem.observed_px[..., uv]
     depth = result.marks_m[..., 2]
@@ -156,12 +156,12 @@ def coverage(result: CalibrationResult, side: str) -> str:
     for band in range(bands):
         chosen = np.clip(((depth - near) / span * bands).astype(int), 0, bands - 1) == band
         chart.dots(pixels[chosen], shade(0.25 + 0.75 * band / (bands - 1)), 2.5, 0.9)
-    return chart.svg(f'Marks in the {side} picture')
+    return chart.svg(f'Marks in the {side} image')
 
 
 def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:
-    """Draw the residuals of one picture, magnified; returns the picture and the factor."""
-    chart = _picture(result)
+    """Draw the residuals of one image, magnified; returns the image and the factor."""
+    chart = _image_chart(result)
     uv = slice(0, 2) if side == 'left' else slice(2, 4)
     pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
     residuals = result.adjusted.residuals_px[..., uv].reshape(-1, 2)
@@ -171,7 +171,7 @@ def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:
     starts = pixels[seen]
     chart.strokes(starts, starts + factor * residuals[seen], '#c8553d')
     chart.dots(starts, INK, 1.2, 0.8)
-    return chart.svg(f'Residuals in the {side} picture, {factor:g} times enlarged'), factor
+    return chart.svg(f'Residuals in the {side} image, {factor:g} times enlarged'), factor
 
 
 def depth_sigma(result: CalibrationResult) -> str:
@@ -198,8 +198,8 @@ def depth_sigma(result: CalibrationResult) -> str:
 
 
 def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, float, float]:
-    """Draw the calibration's depth sigma over the left picture; returns it with its range, m."""
-    chart = _picture(result)
+    """Draw the calibration's depth sigma over the left image; returns it with its range, m."""
+    chart = _image_chart(result)
     width, height = result.calibration.image_size
     columns, rows = (
         np.linspace(0, n - 1, k + 1) for n, k in zip((width, height), _MAP, strict=True)
@@ -222,11 +222,11 @@ def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, flo
             color = shade((sigma - low) / max(high - low, 1e-12))
             chart.box(corners, color, f'{1e3 * sigma:.1f} mm')
     chart.frame()
-    return chart.svg(f'Depth sigma at {depth_m:g} m over the left picture'), low, high
+    return chart.svg(f'Depth sigma at {depth_m:g} m over the left image'), low, high
 
 
-def _picture(result: CalibrationResult) -> Chart:
-    """Return an empty picture with the image's proportions, rows downwards."""
+def _image_chart(result: CalibrationResult) -> Chart:
+    """Return an empty image with the image's proportions, rows downwards."""
     width, height = result.calibration.image_size
     # the drawing area is 456 px wide: 18 and 16 px of it are margins
     chart = Chart((0, width - 1), (height - 1, 0), (474, round(16 + 456 * height / width)))

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration report: one HTML file with its pictures inside, nothing from the network."""
+"""The calibration report: one HTML file with its images inside, nothing from the network."""
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon import __version__
 from binocular_recon.calibration.report import _charts as charts
 from binocular_recon.calibration.report._charts import METHODS
 from binocular_recon.calibration.report._numbers import numbers
@@ -20,17 +18,17 @@ from binocular_recon.calibration.result import (
     CalibrationResult,
     row_statistics,
 )
-from binocular_recon.drawing.page import PAGE, STYLE, figure, legend, section, table
+from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
 
 _UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
-# Fields of a picture whose coverage is counted.
+# Fields of a image whose coverage is counted.
 _FIELDS = 8, 5
 
 
-class BoardPicture(NamedTuple):
-    """A board's two pictures side by side as a JPEG, with the marks drawn in.
+class BoardImage(NamedTuple):
+    """A board's two images side by side as a JPEG, with the marks drawn in.
 
     ``reason`` says why the board was left out; empty if it was used.
     """
@@ -40,8 +38,8 @@ class BoardPicture(NamedTuple):
     reason: str = ''
 
 
-def render_report(result: CalibrationResult, pictures: Sequence[BoardPicture] = ()) -> str:
-    """Return the report as an HTML page, with the pictures given."""
+def render_report(result: CalibrationResult, images: Sequence[BoardImage] = ()) -> str:
+    """Return the report as an HTML page, with the images given."""
     sections = (
         _summary(result),
         _notes(result),
@@ -52,10 +50,10 @@ def render_report(result: CalibrationResult, pictures: Sequence[BoardPicture] = 
         _coverage(result),
         _residuals(result),
         _next_boards(result),
-        _pictures(pictures),
+        _images(images),
         numbers(result),
     )
-    return PAGE.substitute(style=STYLE, sections='\n'.join(sections), version=escape(__version__))
+    return page('Stereo calibration', sections, 'Uncertainties are one standard deviation.')
 
 
 def _summary(result: CalibrationResult) -> str:
@@ -77,7 +75,7 @@ def _summary(result: CalibrationResult) -> str:
         (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
         (
             f'{len(result.names)}',
-            f'boards used, {marks} marks in both pictures, {width}x{height} px',
+            f'boards used, {marks} marks in both images, {width}x{height} px',
         ),
     )
     items = ''.join(f'<li><b>{value}</b><span>{label}</span></li>' for value, label in cards)
@@ -99,14 +97,14 @@ def _notes(result: CalibrationResult) -> str:
 
 def _depth(result: CalibrationResult) -> str:
     depth = _working_depth(result)
-    picture, low, high = charts.depth_sigma_map(result, depth)
+    image, low, high = charts.depth_sigma_map(result, depth)
     rows = []
     for z in np.linspace(0.5, 1.5, _DEPTH_ROWS) * depth:
         sigmas = (1e3 * result.depth_sigma_m(z, noise) for noise in (0.0, DISPARITY_SIGMA_PX))
         rows.append((f'{z:.3g} m', *(f'{sigma:.3g} mm' for sigma in sigmas)))
     return section(
         'How well depth will be known',
-        f'One standard deviation over the middle half of the pictures, from the covariance of the'
+        f'One standard deviation over the middle half of the images, from the covariance of the'
         f' calibration and {DISPARITY_SIGMA_PX:g} px of disparity noise.',
         figure(
             charts.depth_sigma(result),
@@ -117,8 +115,8 @@ def _depth(result: CalibrationResult) -> str:
             ),
         ),
         figure(
-            picture,
-            f"The calibration's own share at {depth:g} m over the left picture:"
+            image,
+            f"The calibration's own share at {depth:g} m over the left image:"
             f' {1e3 * low:.3g} mm (light) to {1e3 * high:.3g} mm (dark).',
         ),
         table(('distance', 'calibration alone', 'with disparity noise'), rows),
@@ -142,8 +140,8 @@ def _methods(result: CalibrationResult) -> str:
         'Planar: every rod taken as exactly placed (Zhang). Corrected: calibrated again after'
         ' polar-line correction. Adjusted: both cameras and every rod estimated together; this is'
         ' the calibration that was saved. Root mean square per image axis in the original'
-        ' pictures, so that a perfect calibration shows the noise of the marks.',
-        figure(charts.board_errors(result), legend(*METHODS.items()), wide=True),
+        ' images, so that a perfect calibration shows the noise of the marks.',
+        figure(charts.board_errors(result), legend(*METHODS.items()), kind='wide'),
         table(
             ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
             rows,
@@ -162,8 +160,8 @@ def _rows(result: CalibrationResult) -> str:
         statistics = row_statistics(differences)
         rows.append((name, f'{statistics["mean"]:.3f}', f'{statistics["max"]:.3f}'))
     return section(
-        'Rows of the two pictures',
-        'A mark must appear in the same row of both rectified pictures. What remains here is'
+        'Rows of the two images',
+        'A mark must appear in the same row of both rectified images. What remains here is'
         ' mostly the noise of the marks themselves.',
         figure(
             charts.row_differences(result),
@@ -197,9 +195,9 @@ def _heights(result: CalibrationResult) -> str:
             )
         )
     what = (
-        'Marks reconstructed from both pictures, laid over the known heights of their rod'
+        'Marks reconstructed from both images, laid over the known heights of their rod'
         if target.has_rods
-        else 'Points reconstructed from both pictures, laid over the known target'
+        else 'Points reconstructed from both images, laid over the known target'
     )
     return section(
         'Reconstructed marks against what is known',
@@ -218,7 +216,7 @@ def _coverage(result: CalibrationResult) -> str:
         figures.append(
             figure(
                 charts.coverage(result, side),
-                f'{side.capitalize()} picture: marks in {share:.0f} % of its fields; dark = far.',
+                f'{side.capitalize()} image: marks in {share:.0f} % of its fields; dark = far.',
             )
         )
     return section(
@@ -233,8 +231,8 @@ def _coverage(result: CalibrationResult) -> str:
 def _residuals(result: CalibrationResult) -> str:
     figures = []
     for side in ('left', 'right'):
-        picture, factor = charts.residual_vectors(result, side)
-        figures.append(figure(picture, f'{side.capitalize()} picture, {factor:g} times enlarged.'))
+        image, factor = charts.residual_vectors(result, side)
+        figures.append(figure(image, f'{side.capitalize()} image, {factor:g} times enlarged.'))
     return section(
         'Residuals after adjustment',
         'Arrows in all directions are noise; a pattern would mean distortion that the model does'
@@ -255,28 +253,24 @@ def _next_boards(result: CalibrationResult) -> str:
     )
 
 
-def _pictures(pictures: Sequence[BoardPicture]) -> str:
-    if not pictures:
+def _images(images: Sequence[BoardImage]) -> str:
+    if not images:
         return ''
     figures = []
-    for name, jpeg, reason in pictures:
-        data = b64encode(jpeg).decode()
-        words = f'Board {escape(name)}' + (f' was left out: {escape(reason)}' if reason else '')
-        kind = ' class="left-out"' if reason else ''
-        figures.append(
-            f'<figure{kind}><img alt="Board {escape(name)}"'
-            f' src="data:image/jpeg;base64,{data}"><figcaption>{words}.</figcaption></figure>'
-        )
+    for name, jpeg, reason in images:
+        text = f'Board {escape(name)}' + (f' was left out: {escape(reason)}' if reason else '')
+        image = embedded_image(jpeg, 'jpeg', f'Board {escape(name)}')
+        figures.append(figure(image, f'{text}.', kind='left-out' if reason else ''))
     return section(
-        'Pictures',
-        'Left and right picture of each board. Green: marks that were used; red: marks that were'
+        'Images',
+        'Left and right image of each board. Green: marks that were used; red: marks that were'
         ' found and left out.',
-        f'<div class="pictures">{"".join(figures)}</div>',
+        f'<div class="images">{"".join(figures)}</div>',
     )
 
 
 def _covered(result: CalibrationResult, side: str) -> float:
-    """Return the share of the fields of a picture that hold a mark."""
+    """Return the share of the fields of a image that hold a mark."""
     uv = slice(0, 2) if side == 'left' else slice(2, 4)
     pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]

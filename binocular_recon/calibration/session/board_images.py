@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of the boards for the calibration report: small, with the marks drawn in."""
+"""Images of the boards for the calibration report: small, with the marks drawn in."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from binocular_recon.calibration.report.report import BoardPicture
+from binocular_recon.calibration.report.report import BoardImage
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.session.captures import BoardFiles, find_boards
 from binocular_recon.camera import FloatArray
@@ -18,20 +18,20 @@ from binocular_recon.io.image_files import read_image_file
 
 # Boards shown at most: those left out first, then evenly chosen ones.
 MOST_BOARDS = 16
-# Width of one picture, px, and its quality as a JPEG.
+# Width of one image, px, and its quality as a JPEG.
 WIDTH_PX, JPEG_QUALITY = 640, 80
 _USED, _LEFT_OUT = (80, 220, 60), (40, 40, 230)
 
 
-def board_pictures(result: CalibrationResult, folder: Path) -> tuple[BoardPicture, ...]:
-    """Draw the marks that a calibration used into the pictures they were found in.
+def draw_boards(result: CalibrationResult, folder: Path) -> tuple[BoardImage, ...]:
+    """Draw the marks that a calibration used into the images they were found in.
 
     Parameters
     ----------
     result : CalibrationResult
         What `solve` returned for these boards.
     folder : Path
-        Holds ``left_NAME`` and ``right_NAME``; boards whose pictures are not there are skipped.
+        Holds ``left_NAME`` and ``right_NAME``; boards whose images are not there are skipped.
 
     """
     boards = {files.name: files for files in find_boards(folder)}
@@ -39,14 +39,14 @@ def board_pictures(result: CalibrationResult, folder: Path) -> tuple[BoardPictur
     used = list(result.names)
     rest = max(1, MOST_BOARDS - len(reasons))
     chosen = [used[i] for i in np.unique(np.linspace(0, len(used) - 1, rest).astype(int))]
-    pictures = []
+    images = []
     for name in [*list(reasons)[:MOST_BOARDS], *chosen]:
         if name not in boards:
             continue
         jpeg = _pair(boards[name], _marks(result, name))
         if jpeg is not None:
-            pictures.append(BoardPicture(name, jpeg, reasons.get(name, '')))
-    return tuple(pictures)
+            images.append(BoardImage(name, jpeg, reasons.get(name, '')))
+    return tuple(images)
 
 
 def _marks(result: CalibrationResult, name: str) -> tuple[FloatArray, FloatArray] | None:
@@ -60,7 +60,7 @@ def _marks(result: CalibrationResult, name: str) -> tuple[FloatArray, FloatArray
 
 
 def _pair(files: BoardFiles, marks: tuple[FloatArray, FloatArray] | None) -> bytes | None:
-    """Return both pictures side by side as a JPEG, None if none can be read."""
+    """Return both images side by side as a JPEG, None if none can be read."""
     sides = []
     for path, columns in ((files.left, slice(0, 2)), (files.right, slice(2, 4))):
         try:
@@ -78,12 +78,12 @@ def _pair(files: BoardFiles, marks: tuple[FloatArray, FloatArray] | None) -> byt
 
 
 def _small(image: ByteImage, marks: list[FloatArray]) -> ByteImage:
-    """Return a picture ``WIDTH_PX`` wide with circles at the marks used and left out."""
+    """Return a image ``WIDTH_PX`` wide with circles at the marks used and left out."""
     scale = WIDTH_PX / image.shape[1]
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for points, color in zip(marks, (_USED, _LEFT_OUT), strict=False):
         for x, y in points[np.isfinite(points[:, 0])]:
-            # pixel centres are at integers in both pictures
+            # pixel centres are at integers in both images
             centre = round((x + 0.5) * scale - 0.5), round((y + 0.5) * scale - 0.5)
             cv2.circle(small, centre, 5, color, 2, cv2.LINE_AA)
     return np.asarray(small)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from binocular_recon.calibration.report.report import render_report
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.session.board_images import board_pictures
+from binocular_recon.calibration.session.board_images import draw_boards
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import PENDING, write_rig
 from binocular_recon.io.files import complete_file, flush, make_folder, write_json
@@ -43,7 +43,7 @@ def save_calibration(
     names : (str, str)
         Names of the left and the right camera, which their drivers compare.
     captures : Path, optional
-        Folder of the boards' pictures, for the report.
+        Folder of the boards' images, for the report.
 
     Returns
     -------
@@ -65,8 +65,8 @@ def save_calibration(
         write_rig(partial, result.rig, names)
         write_json(partial / 'calibration.json', result.to_mapping())
         with complete_file(partial / 'report.html') as file:
-            pictures = board_pictures(result, captures) if captures else ()
-            file.write(render_report(result, pictures).encode())
+            images = draw_boards(result, captures) if captures else ()
+            file.write(render_report(result, images).encode())
         for path in partial.iterdir():
             flush(path)
         flush(partial)

@@ -39,7 +39,7 @@ class CaptureStore:
     folder : Path
         Made with its parents where it does not exist.
     board : RodBoard
-        The rods in the pictures.
+        The rods in the images.
     stopped : callable, optional
         Asked after each board that is read; where it answers True, reading ends with a
         CalibrationError.
@@ -65,21 +65,21 @@ class CaptureStore:
     def names(self) -> list[str]:
         """Boards on disk, in the order of capture.
 
-        Those that a power cut left with one picture do not count: nobody was told of them.
+        Those that a power cut left with one image do not count: nobody was told of them.
         """
         complete = (files.name for files in list_boards(self.folder) if not files.problem)
         return sorted(complete, key=_order)
 
     def add(self, left: Image, right: Image) -> str:
-        """Write a board's pictures and return its name; a power cut after that loses nothing.
+        """Write a board's images and return its name; a power cut after that loses nothing.
 
         Raises
         ------
         FileError
-            If the pictures cannot be written.
+            If the images cannot be written.
 
         """
-        ever = [*self._pictures(), *self.folder.glob(f'{DROPPED}/*/*_*.*')]
+        ever = [*self._images(), *self.folder.glob(f'{DROPPED}/*/*_*.*')]
         name = f'{max([0, *(_order(_name(path))[0] for path in ever)]) + 1:03d}'
         try:
             for side, image in (('right', right), ('left', left)):
@@ -134,7 +134,7 @@ class CaptureStore:
             target = target.with_name(f'{target.name}-more')
         make_folder(target)
         try:
-            for path in self._pictures():
+            for path in self._images():
                 if _name(path) in names:
                     shutil.move(path, target / path.name)
             for folder in (target, target.parent, self.folder):
@@ -170,7 +170,7 @@ class CaptureStore:
     def _path(self, side: str, name: str) -> Path:
         return self.folder / f'{side}_{name}.png'
 
-    def _pictures(self) -> list[Path]:
+    def _images(self) -> list[Path]:
         return [*self.folder.glob('left_*.*'), *self.folder.glob('right_*.*')]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of rod boards on disk: ``left_NAME.png`` and ``right_NAME.png``."""
+"""Images of rod boards on disk: ``left_NAME.png`` and ``right_NAME.png``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm')
 
 @dataclass(frozen=True)
 class BoardFiles:
-    """The two pictures of one board; None where there is not exactly one, as ``problem`` says."""
+    """The two images of one board; None where there is not exactly one, as ``problem`` says."""
 
     name: str
     left: Path | None
@@ -34,7 +34,7 @@ class BoardFiles:
 
 @dataclass(frozen=True, eq=False)
 class BoardReading:
-    """What came out of one board's pictures.
+    """What came out of one board's images.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class BoardReading:
     capture : Capture or None
         The marks; None if the board cannot be used.
     size : (int, int) or None
-        Width and height of both pictures, px.
+        Width and height of both images, px.
     reason : str
         Why there is no capture, or which marks are missing.
 
@@ -64,9 +64,9 @@ class CaptureSet:
     captures : tuple of Capture
         Marks of each board.
     image_size : (int, int)
-        Width and height of every picture, px.
+        Width and height of every image, px.
     rejected : tuple of Rejected
-        Boards whose pictures cannot be used and why.
+        Boards whose images cannot be used and why.
 
     """
 
@@ -81,15 +81,15 @@ def find_boards(folder: Path) -> list[BoardFiles]:
     Raises
     ------
     FileError
-        If the folder does not exist or holds no such pictures.
+        If the folder does not exist or holds no such images.
 
     """
     if not folder.is_dir():
-        raise FileError(f'{folder} is no folder; give the folder with the pictures of the boards')
+        raise FileError(f'{folder} is not a folder; give the folder with the images of the boards')
     boards = list_boards(folder)
     if not boards:
         raise FileError(
-            f'{folder} holds no pictures of boards; they must be named left_NAME.png and'
+            f'{folder} holds no images of boards; they must be named left_NAME.png and'
             ' right_NAME.png with the same NAME'
         )
     return boards
@@ -106,9 +106,9 @@ def list_boards(folder: Path) -> list[BoardFiles]:
 
 
 def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
-    problems = [f'there is no {side} picture' for side, paths in sides.items() if not paths]
+    problems = [f'there is no {side} image' for side, paths in sides.items() if not paths]
     problems += [
-        f'there are {len(paths)} {side} pictures ({", ".join(path.name for path in paths)});'
+        f'there are {len(paths)} {side} images ({", ".join(path.name for path in paths)});'
         ' keep one'
         for side, paths in sides.items()
         if len(paths) > 1
@@ -118,7 +118,7 @@ def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
 
 
 def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
-    """Detect the rods in both pictures of a board; what is wrong is told, not raised."""
+    """Detect the rods in both images of a board; problems are returned, not raised."""
     pair, sizes = [], []
     if files.left is None or files.right is None:
         return BoardReading(files, None, None, files.problem)
@@ -129,13 +129,13 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
         except BinocularReconError as error:
             return BoardReading(files, None, None, str(error))
         except (cv2.error, ValueError) as error:
-            # whatever is in one picture, the other boards are read
+            # whatever is in one image, the other boards are read
             reason = f'{path} cannot be searched for rods: {error}'
             return BoardReading(files, None, None, reason)
         sizes.append((image.shape[1], image.shape[0]))
     if sizes[0] != sizes[1]:
         reason = (
-            f'the left picture is {sizes[0][0]}x{sizes[0][1]} px, the right one'
+            f'the left image is {sizes[0][0]}x{sizes[0][1]} px, the right one'
             f' {sizes[1][0]}x{sizes[1][1]} px'
         )
         return BoardReading(files, None, None, reason)
@@ -152,9 +152,9 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
 
 
 def read_captures(
-    folder: Path, board: RodBoard, told: Callable[[BoardReading], None] | None = None
+    folder: Path, board: RodBoard, on_board: Callable[[BoardReading], None] | None = None
 ) -> CaptureSet:
-    """Detect the rods in all pictures of a folder.
+    """Detect the rods in all images of a folder.
 
     Parameters
     ----------
@@ -162,33 +162,33 @@ def read_captures(
         Holds ``left_NAME.png`` and ``right_NAME.png``.
     board : RodBoard
         The rods.
-    told : callable, optional
+    on_board : callable, optional
         Told each board as it is finished.
 
     Raises
     ------
     FileError
-        If the folder holds no pictures of boards.
+        If the folder holds no images of boards.
     CalibrationError
-        If no board could be found in any pair of pictures.
+        If no board could be found in any pair of images.
 
     """
-    return capture_set(read_boards(find_boards(folder), board, told), folder)
+    return capture_set(read_boards(find_boards(folder), board, on_board), folder)
 
 
 def read_boards(
     boards: Sequence[BoardFiles],
     board: RodBoard,
-    told: Callable[[BoardReading], None] | None = None,
+    on_board: Callable[[BoardReading], None] | None = None,
 ) -> list[BoardReading]:
-    """Detect the rods in the pictures of boards; what ``told`` raises ends it early."""
+    """Detect the rods in the images of boards; what ``on_board`` raises ends it early."""
     readings = []
     with ThreadPoolExecutor(thread_count()) as pool:
         try:
             for reading in pool.map(lambda files: read_board(files, board), boards):
                 readings.append(reading)
-                if told is not None:
-                    told(reading)
+                if on_board is not None:
+                    on_board(reading)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -201,7 +201,7 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
     Raises
     ------
     CalibrationError
-        If no board could be found in any pair of pictures.
+        If no board could be found in any pair of images.
 
     """
     sizes = Counter(reading.size for reading in readings if reading.capture and reading.size)
@@ -209,7 +209,7 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
         reasons = '; '.join(f'{reading.files.name}: {reading.reason}' for reading in readings[:3])
         raise CalibrationError(
             f'no rods were found in any of the {len(readings)} boards of {folder} ({reasons});'
-            ' check that rods.yaml describes the rods in the pictures'
+            ' check that rods.yaml describes the rods in the images'
         )
     size = sizes.most_common(1)[0][0]
     captures, rejected = [], []
@@ -218,8 +218,8 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
             rejected.append(Rejected(reading.files.name, reading.reason))
         elif reading.size != size:
             assert reading.size is not None
-            reason = '{}x{} px, but most pictures are {}x{} px'.format(*reading.size, *size)
-            rejected.append(Rejected(reading.files.name, f'its pictures are {reason}'))
+            reason = '{}x{} px, but most images are {}x{} px'.format(*reading.size, *size)
+            rejected.append(Rejected(reading.files.name, f'its images are {reason}'))
         else:
             captures.append(reading.capture)
     return CaptureSet(tuple(captures), size, tuple(rejected))

@@ -19,7 +19,7 @@ from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError, FileError
 
 COLUMNS = ('name', 'side', 'id', 'X_m', 'Y_m', 'u_px', 'v_px')
-# Usual sizes of sensors, from small to large, to guess the picture's size from its points.
+# Usual sizes of sensors, from small to large, to guess the image's size from its points.
 _SIZES = (
     (320, 240), (640, 480), (752, 480), (800, 600), (1024, 768), (1280, 720), (1280, 800),
     (1280, 960), (1280, 1024), (1440, 1080), (1600, 1200), (1920, 1080), (1920, 1200),
@@ -39,7 +39,7 @@ class PointTable:
     target : Target
         The points' places.
     least_size : (int, int)
-        Smallest usual picture size, px, that holds all points.
+        Smallest usual image size, px, that holds all points.
     left_out : tuple of str
         Rows without numbers, and what is wrong with each.
 
@@ -121,7 +121,7 @@ def _table(rows: list[_Row], left_out: tuple[str, ...]) -> PointTable:
         marks = boards.setdefault(row.name, empty)[row.side]
         if np.isfinite(marks[index[row.point]]).all():
             raise CalibrationError(
-                f'{row.where}: point {row.point} appears twice in the {row.side} picture of'
+                f'{row.where}: point {row.point} appears twice in the {row.side} image of'
                 f' {row.name}'
             )
         marks[index[row.point], 0] = row.pixel

@@ -36,14 +36,14 @@ class MethodResult:
 
 @dataclass(frozen=True)
 class Method:
-    """A way from a picture pair to a disparity map.
+    """A way from an image pair to a disparity map.
 
     Attributes
     ----------
     name : str
         Name in tables.
     prepare : function
-        Takes left picture, right picture and number of disparities; returns the function that is
+        Takes left image, right image and number of disparities; returns the function that is
         timed, which makes the `MethodResult`.
     ours : bool
         True for a preset, False for a peer.
@@ -60,7 +60,7 @@ class Method:
 
 
 def preset_method(preset: str, **overrides: OptionValue) -> Method:
-    """Return the chain from pictures to dense disparity with a preset's options.
+    """Return the chain from images to dense disparity with a preset's options.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a disparity map is, and how honest its standard deviation.
+"""Accuracy of a disparity map, and whether its standard deviation is calibrated.
 
 Pure functions on arrays. Everywhere ``disparity_px`` is raw, x_left - x_right, NaN = unfilled;
 ``truth_px`` is the ground truth, NaN = unknown; a mask is True where a pixel counts.
@@ -232,7 +232,7 @@ def normalised_error_rms(
 ) -> float:
     """Return the root mean square of error / sigma over correctly matched pixels.
 
-    1 means that sigma is honest, more that it promises too much. Pixels whose error is not below
+    1 means that sigma is calibrated, more that it is too small. Pixels whose error is not below
     `MISMATCH_PX` are left out, as are those without sigma. NaN if there is no pixel.
     """
     error, sigma = _paired(disparity_px, sigma_px, truth_px, mask)

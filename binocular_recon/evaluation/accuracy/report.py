@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import re
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.drawing import page as page_parts
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.evaluation.accuracy.scoring import SceneResult
 from binocular_recon.evaluation.tables import figure
@@ -31,33 +31,10 @@ ERROR_COLOURS = (
 UNFILLED_COLOUR = (255, 0, 255)
 UNKNOWN_COLOUR = (236, 236, 236)
 
-_PICTURE_WIDTH = 420
+_IMAGE_WIDTH = 420
 # Below this share of known pixels ground truth is shown as blots of this radius.
 _DENSE_SHARE = 0.6
 _SPARSE_REACH_PX = 3.0
-
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1360px;
-  padding: 0 1.2rem; color: #1d2530; background: #fff; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .6rem 0 1.2rem; }
-th, td { padding: .22rem .7rem; text-align: right; border-bottom: 1px solid #dfe4ea;
-  white-space: nowrap; }
-th { font-weight: 600; background: #f4f6f8; white-space: normal; vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; }
-tr.ours td { background: #eef6ee; }
-p.note { color: #55606e; max-width: 60rem; }
-.grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: .9rem; }
-figure { margin: 0; } figure img { width: 100%; display: block; }
-figcaption { font-size: .84rem; padding-top: .2rem; } figcaption b { font-weight: 600; }
-.legend { font-size: .84rem; margin: .8rem 0; position: sticky; top: 0; background: #fff;
-  padding: .4rem 0; }
-.legend span { display: inline-block; margin-right: .9rem; white-space: nowrap; }
-.legend i { display: inline-block; width: 1.1em; height: 1.1em; vertical-align: -.18em;
-  margin-right: .3em; border: 1px solid #0002; }
-"""
 
 
 def error_map(disparity_px: FloatImage, truth_px: FloatImage) -> ByteImage:
@@ -77,21 +54,21 @@ def error_map(disparity_px: FloatImage, truth_px: FloatImage) -> ByteImage:
     error = np.abs(disparity_px - truth_px)
     # a limit belongs to the class below it, as everywhere: only a larger error is bad
     classes = np.searchsorted(ERROR_LIMITS_PX, np.nan_to_num(error), side='left')
-    picture = np.array(ERROR_COLOURS, np.uint8)[classes]
-    picture[~np.isfinite(disparity_px)] = UNFILLED_COLOUR
-    picture[~np.isfinite(truth_px)] = UNKNOWN_COLOUR
-    return np.ascontiguousarray(picture[..., ::-1])
+    colours = np.array(ERROR_COLOURS, np.uint8)[classes]
+    colours[~np.isfinite(disparity_px)] = UNFILLED_COLOUR
+    colours[~np.isfinite(truth_px)] = UNKNOWN_COLOUR
+    return np.ascontiguousarray(colours[..., ::-1])
 
 
 def scene_section(result: SceneResult) -> str:
-    """Return the HTML of one scene: picture, ground truth, and each method's two maps."""
+    """Return the section of one scene: image, ground truth, and each method's two maps."""
     scene, scores = result.scene, result.scores
     known = scene.truth_px[np.isfinite(scene.truth_px)]
     limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     shown = _nearest_known(scene.truth_px)
     truth_px = scene.truth_px.ravel()[shown]
     figures = [
-        _figure(to_bgr8(scene.left), 'left picture', photo=True),
+        _figure(to_bgr8(scene.left), 'left image', photo=True),
         _figure(heat_map(truth_px, limits), 'ground truth (black: unknown)'),
     ]
     for score, estimate in zip(scores.scores, result.estimates, strict=True):
@@ -106,12 +83,12 @@ def scene_section(result: SceneResult) -> str:
             caption = f'{html.escape(score.method)}: disparity'
             figures.append(_figure(heat_map(estimate.disparity_px, limits), caption))
     seen = f', visibility from {scene.visible_source}' if scene.visible_source else ''
-    return (
-        f'<h2>{html.escape(scene.name)}</h2>\n<p class="note">{scores.width} x {scores.height} px,'
-        f' {scene.max_disparity_px} disparities, ground truth for {scores.truth_percent:.0f} % of'
-        f' the pixels{seen}. Source: {html.escape(scene.source)}</p>\n'
-        f'<div class="grid">{"".join(figures)}</div>\n'
+    text = (
+        f'{scores.width} x {scores.height} px, {scene.max_disparity_px} disparities, ground truth'
+        f' for {scores.truth_percent:.0f} % of the pixels{seen}. Source:'
+        f' {html.escape(scene.source)}'
     )
+    return page_parts.section(scene.name, text, f'<div class="small">{"".join(figures)}</div>')
 
 
 def page(title: str, notes: Sequence[str], tables: Sequence[str], sections: Sequence[str]) -> str:
@@ -129,14 +106,9 @@ def page(title: str, notes: Sequence[str], tables: Sequence[str], sections: Sequ
         HTML of the scenes.
 
     """
-    body = ''.join(f'<p class="note">{html.escape(note)}</p>\n' for note in notes)
-    body += ''.join(f'<div class="scroll">{_html_table(table)}</div>\n' for table in tables)
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<title>{html.escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n'
-        f'<h1>{html.escape(title)}</h1>\n{body}{_legend()}{"".join(sections)}</body>\n</html>\n'
-    )
+    text = '</p><p>'.join(html.escape(note) for note in notes)
+    results = page_parts.section('Results', text, *map(_html_table, tables))
+    return page_parts.page(title, [results, _key_to_errors(), *sections])
 
 
 def _nearest_known(truth_px: FloatImage) -> npt.NDArray[np.intp]:
@@ -163,38 +135,33 @@ def _html_table(markdown: str) -> str:
         [cell.strip() for cell in re.split(r'(?<!\\)\|', line)[1:-1]]
         for line in markdown.splitlines()
     )
-    head = ''.join(f'<th>{html.escape(cell)}</th>' for cell in header)
-    lines = []
-    for row in rows:
-        kind = ' class="ours"' if row[0][:1].islower() else ''
-        lines.append(f'<tr{kind}>{"".join(f"<td>{html.escape(cell)}</td>" for cell in row)}</tr>')
-    return f'<table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table>'
+    ours = [number for number, row in enumerate(rows) if row[0][:1].islower()]
+    cells = [[html.escape(cell) for cell in row] for row in rows]
+    return f'<div class="scroll">{page_parts.table(header, cells, marked=ours)}</div>'
 
 
-def _legend() -> str:
+def _key_to_errors() -> str:
     low, parts = 0.0, []
     for high, colour in zip(ERROR_LIMITS_PX, ERROR_COLOURS, strict=True):
         label = f'{low:g} - {high:g} px' if np.isfinite(high) else f'more than {low:g} px'
-        parts.append((label, colour))
+        parts.append((label, f'rgb{colour}'))
         low = high
-    parts += [('unfilled', UNFILLED_COLOUR), ('no ground truth', UNKNOWN_COLOUR)]
-    spans = (
-        f'<span><i style="background: rgb{colour}"></i>{label}</span>' for label, colour in parts
+    parts += [
+        ('unfilled', f'rgb{UNFILLED_COLOUR}'),
+        ('no ground truth', f'rgb{UNKNOWN_COLOUR}'),
+    ]
+    return page_parts.section(
+        'Maps of the errors',
+        'Absolute error of each pixel.',
+        f'<div class="wide">{page_parts.legend(*parts)}</div>',
     )
-    return f'<div class="legend">Error: {"".join(spans)}</div>\n'
 
 
-def _figure(picture: ByteImage, caption: str, *, photo: bool = False) -> str:
-    height, width = picture.shape[:2]
-    if width > _PICTURE_WIDTH:
-        size = (_PICTURE_WIDTH, max(1, round(height * _PICTURE_WIDTH / width)))
+def _figure(image: ByteImage, caption: str, *, photo: bool = False) -> str:
+    height, width = image.shape[:2]
+    if width > _IMAGE_WIDTH:
+        size = (_IMAGE_WIDTH, max(1, round(height * _IMAGE_WIDTH / width)))
         # maps have classes of colours, which must not be mixed
         method = cv2.INTER_AREA if photo else cv2.INTER_NEAREST
-        picture = cv2.resize(picture, size, interpolation=method)
-    suffix, kind = ('.jpg', 'jpeg') if photo else ('.png', 'png')
-    data = base64.b64encode(cv2.imencode(suffix, picture)[1].tobytes()).decode()
-    plain = html.escape(re.sub('<.*?>', '', caption), quote=True)
-    return (
-        f'<figure><img loading="lazy" alt="{plain}" src="data:image/{kind};base64,{data}">'
-        f'<figcaption>{caption}</figcaption></figure>'
-    )
+        image = np.asarray(cv2.resize(image, size, interpolation=method), np.uint8)
+    return page_parts.image_figure(image, caption, photo=photo)

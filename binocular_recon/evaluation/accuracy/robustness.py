@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What changes when the exposure of one camera or the cut of the pictures changes."""
+"""What changes when the exposure of one camera or the cut of the images changes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CROP_SHARE = 0.15
 
 @dataclass(frozen=True)
 class ExposureChange:
-    """Bad-2.0 of one method before and after the right picture was made darker.
+    """Bad-2.0 of one method before and after the right image was made darker.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class ExposureChange:
 
 @dataclass(frozen=True)
 class CropChange:
-    """Change of disparity by cutting the pictures, at one depth inside the crop.
+    """Change of disparity by cutting the images, at one depth inside the crop.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ class CropChange:
 def darkened(
     scene: TruthScene, gain: float = EXPOSURE_GAIN, offset: float = EXPOSURE_OFFSET
 ) -> TruthScene:
-    """Return the scene with the right picture's grey levels times ``gain`` plus ``offset``.
+    """Return the scene with the right image's grey levels times ``gain`` plus ``offset``.
 
-    ``offset`` is in grey levels of 255; the result is rounded to the picture's type.
+    ``offset`` is in grey levels of 255; the result is rounded to the image's type.
     """
     white = np.iinfo(scene.right.dtype).max
     right = np.rint(scene.right * gain + offset * white / 255)

@@ -31,7 +31,7 @@ class TruthScene:
     source : str
         Where the data come from, with licence.
     left, right : (H, W) or (H, W, 3), uint8 or uint16
-        Rectified pictures; colour as BGR.
+        Rectified images; colour as BGR.
     truth_px : (H, W) float32
         Disparity x_left - x_right; NaN = unknown.
     visible : (H, W) bool or None
@@ -84,7 +84,7 @@ def find_scenes(folder: Path, names: list[str] | None = None) -> list[Path]:
 
     """
     if not folder.is_dir():
-        raise FileError(f'{folder} is no folder; give one that holds scene folders')
+        raise FileError(f'{folder} is not a folder; give one that holds scene folders')
     candidates = [folder] if _is_scene(folder) else sorted(filter(_is_scene, folder.iterdir()))
     if not candidates:
         raise FileError(

@@ -40,7 +40,7 @@ class Score:
     ours : bool
         True for a preset, False for a peer.
     seconds : float
-        Median time from the pictures to the disparity map.
+        Median time from the images to the disparity map.
     everywhere, visible, occluded : Accuracy
         Over all pixels with ground truth, over those that both cameras see, and over the others;
         None where visibility is unknown.
@@ -73,7 +73,7 @@ class SceneScores:
     scene, source : str
         Name and origin of the scene.
     width, height : int
-        Size of its pictures, px.
+        Size of its images, px.
     max_disparity_px : int
         Number of disparities searched.
     truth_percent : float
@@ -102,7 +102,7 @@ class SceneResult:
     Attributes
     ----------
     scene : TruthScene
-        The scene, with its pictures.
+        The scene, with its images.
     scores : SceneScores
         The figures.
     estimates : tuple of MethodResult
@@ -147,7 +147,7 @@ def evaluate_scene(scene: TruthScene, methods: list[Method], repeat: int = 3) ->
     Parameters
     ----------
     scene : TruthScene
-        Pictures and ground truth.
+        Images and ground truth.
     methods : list of Method
         What to compare.
     repeat : int

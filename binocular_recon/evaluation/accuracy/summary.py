@@ -159,7 +159,7 @@ def depth_by_band(scenes: Sequence[SceneScores]) -> str:
     return markdown_table([*header, *(f'{near:g}-{far:g} m' for near, far in bands)], rows)
 
 
-def sigma_honesty(scenes: Sequence[SceneScores]) -> str:
+def sigma_calibration(scenes: Sequence[SceneScores]) -> str:
     """Return RMS(error / sigma) of our methods on every scene; empty without any of ours."""
     chosen = [i for i, score in enumerate(scenes[0].scores) if score.sigma_rms is not None]
     if not chosen:
@@ -215,7 +215,7 @@ def _pooled_rms(values: Sequence[float], weights: object) -> float:
 
 
 def exposure_table(changes: Sequence[ExposureChange]) -> str:
-    """Return how bad-2.0 changes when the right picture is made darker; empty if not tried."""
+    """Return how bad-2.0 changes when the right image is made darker; empty if not tried."""
     names = list(dict.fromkeys(change.method for change in changes))
     rows = []
     for name in names:
@@ -236,7 +236,7 @@ def exposure_table(changes: Sequence[ExposureChange]) -> str:
 
 
 def crop_table(changes: Sequence[CropChange]) -> str:
-    """Return the largest change of disparity by cutting the pictures; empty if not tried."""
+    """Return the largest change of disparity by cutting the images; empty if not tried."""
     depths = sorted({change.depth_px for change in changes})
     rows = []
     for name in dict.fromkeys(change.method for change in changes):

@@ -22,15 +22,15 @@ class BoardScore:
     Attributes
     ----------
     expected : int
-        Marks visible in both pictures.
+        Marks visible in both images.
     missed : int
-        Those of them not found in one picture or the other.
+        Those of them not found in one image or the other.
     wrong : int
-        Marks of either picture off by more than half a spacing, or of another rod.
+        Marks of either image off by more than half a spacing, or of another rod.
     errors_px : (N, 2) float64
         Errors x, y of all other marks found.
     seconds : tuple of float
-        Time for the left and the right picture.
+        Time for the left and the right image.
 
     """
 
@@ -42,7 +42,7 @@ class BoardScore:
 
 
 def score_capture(board: RodBoard, capture: SimulatedCapture) -> BoardScore:
-    """Detect the rods in both pictures and compare with the truth."""
+    """Detect the rods in both images and compare with the truth."""
     found, errors, seconds, wrong = [], [], [], 0
     for image, truth in ((capture.left, capture.left_px), (capture.right, capture.right_px)):
         start = time.perf_counter()

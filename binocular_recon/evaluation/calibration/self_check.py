@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How good the calibration is: against the best possible one, and the paper's Tables 1 and 2.
 
-Marks are simulated as numbers, without pictures: a survey rig, boards at 5-16 m whose rods stand
+Marks are simulated as numbers, without images: a survey rig, boards at 5-16 m whose rods stand
 as exactly as stated, Gaussian noise on every mark. The Cramer-Rao bound is what no unbiased
 estimator can beat with the same boards and noise.
 """
@@ -29,7 +29,7 @@ from binocular_recon.calibration.rectification.metric_rectification import (
 )
 from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks
-from binocular_recon.calibration.result import CalibrationResult, row_statistics
+from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult, row_statistics
 from binocular_recon.calibration.screening import observations
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
@@ -47,7 +47,6 @@ from binocular_recon.simulation.rods import (
 )
 
 PLACEMENTS_M = (0.0, 0.002, 0.005, 0.010)
-DEPTHS_M = (10.0, 15.0, 20.0)
 BOUND_NOISE_PX, ROWS_NOISE_PX = 0.2, 0.12
 
 
@@ -61,8 +60,8 @@ class AccuracyRow:
         One standard deviation of a rod's x and z, m.
     bound_ratio, worst_ratio : float
         Root mean square of depth error over Cramer-Rao bound: all runs, the worst one.
-    honesty : float
-        Root mean square of depth error over stated sigma; 1 is honest.
+    error_over_sigma : float
+        Root mean square of depth error over stated sigma; 1 if sigma is calibrated.
     opencv_m, planar_m, adjusted_m, bound_m : tuple of float
         Mean absolute depth error at 10, 15, 20 m of OpenCV's two steps, of both of our methods,
         and of the bound, m.
@@ -74,7 +73,7 @@ class AccuracyRow:
     placement_m: float
     bound_ratio: float
     worst_ratio: float
-    honesty: float
+    error_over_sigma: float
     opencv_m: tuple[float, ...]
     planar_m: tuple[float, ...]
     adjusted_m: tuple[float, ...]
@@ -156,29 +155,29 @@ def check_rows(
 
 
 def self_check(
-    sets: int, draws: int, told: Callable[[str], None]
+    sets: int, draws: int, report: Callable[[str], None]
 ) -> dict[str, list[dict[str, object]]]:
     """Run both checks, tell each row in words, and return all rows."""
     accuracy, rows = [], []
-    told(
+    report(
         'depth at 15 m, mean |error|: OpenCV in two steps, planar, adjusted, bound; error / bound'
-        ' (worst run); honesty'
+        ' (worst run); error / stated sigma'
     )
     for row in check_accuracy(sets=sets, draws=draws):
         accuracy.append(asdict(row))
         all_m = row.opencv_m, row.planar_m, row.adjusted_m, row.bound_m
         depths = (f'{1e3 * depth_m[1]:5.0f}' for depth_m in all_m)
-        told(
+        report(
             f'  placement {1e3 * row.placement_m:4.1f} mm: {", ".join(depths)} mm;'
-            f' {row.bound_ratio:.2f} ({row.worst_ratio:.2f}); {row.honesty:.2f};'
+            f' {row.bound_ratio:.2f} ({row.worst_ratio:.2f}); {row.error_over_sigma:.2f};'
             f' Table 2: {row.planar_px:.3f}, {row.corrected_px:.3f}, {row.adjusted_px:.3f} px'
         )
     total = np.sqrt(np.mean([row['bound_ratio'] ** 2 for row in accuracy]))
-    told(f'  all: error / bound {total:.3f}')
-    told('mean row difference on held-out boards (Table 1): uncorrected, corrected, adjusted')
+    report(f'  all: error / bound {total:.3f}')
+    report('mean row difference on held-out boards (Table 1): uncorrected, corrected, adjusted')
     for difference in check_rows(sets=max(1, sets // 2)):
         rows.append(asdict(difference))
-        told(
+        report(
             f'  placement {1e3 * difference.placement_m:4.1f} mm: {difference.uncorrected_px:.2f},'
             f' {difference.corrected_px:.3f}, {difference.adjusted_px:.3f} px'
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a surveyed site as the paper's Fig. 13-15 show it."""
+"""Images of a surveyed site as the paper's Fig. 13-15 show it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ WIDTH_PX = 900
 
 
 def draw_sizes(survey: Survey, run: PaperRun) -> ByteImage:
-    """Return the picture with what was measured, above the disparity map of the same part.
+    """Return the image with what was measured, above the disparity map of the same part.
 
     Returns
     -------
-    picture : (h, 900, 3) uint8
+    image : (h, 900, 3) uint8
         BGR.
 
     """
@@ -73,8 +73,8 @@ def _window(survey: Survey) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def _enlarged(picture: ByteImage, scale: float) -> ByteImage:
-    height = round(picture.shape[0] * scale)
+def _enlarged(image: ByteImage, scale: float) -> ByteImage:
+    height = round(image.shape[0] * scale)
     return np.asarray(
-        cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_CUBIC), np.uint8
+        cv2.resize(image, (WIDTH_PX, height), interpolation=cv2.INTER_CUBIC), np.uint8
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper end to end on simulated sites: rods, calibration, scene, reconstruction, sizes.
 
-Everything from the marks in the pictures to the sizes is what users run; only the pictures (and,
+Everything from the marks in the images to the sizes is what users run; only the images (and,
 unless rods are rendered, the marks) are simulated. The truth is used to place the picks and to
 compare.
 """
@@ -59,11 +59,11 @@ class PaperRun:
     seed : int
     placement_m : float
     rendered : bool
-        Whether rods were detected in pictures; else marks were simulated with noise.
+        Whether rods were detected in images; else marks were simulated with noise.
     boards_px : list of dict
         Table 2: mean reprojection error of each board, all methods.
     rows : list of list of float
-        Table 1: of six marks of one rod the row in the left and right picture as taken, after
+        Table 1: of six marks of one rod the row in the left and right image as taken, after
         polar-line correction, and rectified with the adjusted calibration, px; NaN = not found.
     rows_px : dict of str to float
         Mean row difference of all marks on the held-out board: uncorrected, corrected, adjusted.
@@ -108,7 +108,7 @@ class Survey:
         Rectified rig of the reconstruction.
     reconstruction : Reconstruction
     picks_px : dict of str to (2,) float64
-        First picks in the rectified left picture.
+        First picks in the rectified left image.
 
     """
 
@@ -131,7 +131,7 @@ def run_site(
     boards : int
         Boards to calibrate with; one more is held out.
     rendered : bool
-        Render pictures of the boards and detect the rods, instead of simulating marks.
+        Render images of the boards and detect the rods, instead of simulating marks.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def simulated_marks(rig: RawRig, board: RodBoard, count: int, seed: int) -> list
 
 
 def detected_captures(rig: RawRig, board: RodBoard, count: int, seed: int) -> list[Capture]:
-    """Return the marks found in rendered pictures of ``count`` boards."""
+    """Return the marks found in rendered images of ``count`` boards."""
     captures = []
     for index in range(count):
         rng = np.random.default_rng([seed, index])

@@ -17,13 +17,13 @@ PICKS = 10
 
 PICK_NOISE_PX = 0.3
 
-# Pixels of the raw left picture by name of the end point.
+# Pixels of the raw left image by name of the end point.
 Pixels = dict[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A simulated scene, its picture pair, and where a person picks the end points.
+    """A simulated scene, its image pair, and where a person picks the end points.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Site:
     rig : RawRig
     scene : Scene
     left, right : (H, W, 3) uint8
-        Raw pictures.
+        Raw images.
     picks : list of dict of str to (2,) float64
         Raw left pixels of every end point, each time with new picking noise.
 
@@ -46,7 +46,7 @@ class Site:
 
 
 def simulate_site(seed: int, rig: RawRig, picks: int = PICKS) -> Site:
-    """Simulate what a crew takes home: one picture pair and ``picks`` picks of each end."""
+    """Simulate what a crew takes home: one image pair and ``picks`` picks of each end."""
     rng = np.random.default_rng(seed)
     scene = build_scene(rng)
     left, right = (render_scene(scene, view, Sensor(), rng) for view in rig.views())

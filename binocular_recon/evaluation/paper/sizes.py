@@ -18,7 +18,7 @@ BICYCLE = 'bicycle'
 
 
 def rectified(pick: Pixels, camera: Camera) -> Pixels:
-    """Return raw pixels of a camera as pixels of its rectified picture."""
+    """Return raw pixels of a camera as pixels of its rectified image."""
     pixels = {}
     for name, raw in pick.items():
         x, y = undistort(raw, camera.K, camera.D, np.eye(3))

@@ -49,13 +49,13 @@ def report(runs: Sequence[PaperRun]) -> str:
         f' {rows}.'
     )
     words_2 = (
-        'Table 2: reprojection error in the original pictures,'
+        'Table 2: reprojection error in the original images,'
         f' {len(first[0].boards_px)} boards of one site, {_marks(first[0])}.{_other_sites(runs)}'
     )
     words_3 = (
         f'Table 3: sizes at 10-20 m, {len({run.seed for run in runs})} sites,'
         f' {len(runs[0].errors_mm[BICYCLE])} picks of each end point with {PICK_NOISE_PX:g} px of'
-        f' noise per axis; rods of {rendered} sites detected in pictures. Picking alone: the same'
+        f' noise per axis; rods of {rendered} sites detected in images. Picking alone: the same'
         ' picks with perfect calibration and depth.'
     )
     tables = (table_1(shown), table_2(first), table_3(runs))
@@ -125,7 +125,7 @@ def table_3(runs: Sequence[PaperRun]) -> str:
 
 def _marks(run: PaperRun) -> str:
     if run.rendered:
-        return 'rods detected in pictures'
+        return 'rods detected in images'
     return f'marks simulated with {MARK_NOISE_PX:g} px of noise'
 
 

@@ -19,7 +19,7 @@ from typing import Any
 from binocular_recon.errors import BinocularReconError
 from binocular_recon.machine import peak_bytes
 
-# On pictures of this size kernels are compiled before memory is measured.
+# On images of this size kernels are compiled before memory is measured.
 _SMALL = (96, 64, 16)
 
 
@@ -33,7 +33,7 @@ def peak_memory(preset: str, width: int, height: int, disparity_range: int) -> d
     Returns
     -------
     dict
-        ``peak_mb``: above what the process had with pictures loaded and kernels compiled;
+        ``peak_mb``: above what the process had with images loaded and kernels compiled;
         ``bytes_per_score``: the same per pixel and disparity.
 
     Raises
@@ -95,7 +95,7 @@ def _measure_memory(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:
     small, large = Bench(Size(*_SMALL), [preset]), Bench(Size(*size), [preset])
     match(*small.grey, small.config(preset).match)
     left, right = large.grey
-    # what making the pictures needed at most is given back, but would hide as much of the match
+    # what making the images needed at most is given back, but would hide as much of the match
     Path('/proc/self/clear_refs').write_text('5', encoding='ascii')
     before = _peak_bytes()
     match(left, right, large.config(preset).match)

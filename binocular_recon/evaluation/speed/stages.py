@@ -36,7 +36,7 @@ _FOCAL_PER_WIDTH = 0.86
 _BASELINE_M = 1.0
 _DISTORTION = np.array([-0.12, 0.05, 4e-4, -3e-4, 0.0])
 
-# Grey levels of 255 by which two pictures of a still scene differ.
+# Grey levels of 255 by which two images of a still scene differ.
 _FRAME_NOISE = 2.0
 
 
@@ -47,7 +47,7 @@ class Size:
     Attributes
     ----------
     width, height : int
-        Of the pictures, px.
+        Of the images, px.
     disparity_range : int
         Number of disparities searched.
 
@@ -90,12 +90,12 @@ class Bench:
 
     @cached_property
     def pair(self) -> SyntheticPair:
-        """The pictures, rectified."""
+        """The images, rectified."""
         return synthetic_pair(*self.size.numbers)
 
     @cached_property
     def recorded(self) -> tuple[Image, Image]:
-        """The pictures as the cameras of the rig would record them."""
+        """The images as the cameras of the rig would record them."""
         pair, rig = self.pair, self.rig
         return _distorted(pair.left, rig.left), _distorted(pair.right, rig.right)
 
@@ -113,12 +113,12 @@ class Bench:
 
     @cached_property
     def grey(self) -> tuple[FloatImage, FloatImage]:
-        """The pictures as our stages take them."""
+        """The images as our stages take them."""
         return to_grey(self.pair.left), to_grey(self.pair.right)
 
     @cached_property
     def matches(self) -> dict[str, Match]:
-        """What each preset's matching makes of the pictures."""
+        """What each preset's matching makes of the images."""
         return {name: match(*self.grey, self.config(name).match) for name in self.presets}
 
     def config(self, preset: str) -> ChainConfig:
@@ -129,7 +129,7 @@ class Bench:
 
 
 def matching(bench: Bench) -> Contestants:
-    """From two grey pictures to a disparity map; ours both directions with all checks."""
+    """From two grey images to a disparity map; ours both directions with all checks."""
     left, right = (peers.to_bytes(image) for image in (bench.pair.left, bench.pair.right))
     guide, search = bench.pair.left, bench.size.disparity_range
 
@@ -196,7 +196,7 @@ def _our_filter(bench: Bench, preset: str, *, warm: bool = False) -> Callable[[]
 
 
 def rectifying(bench: Bench) -> Contestants:
-    """Both pictures of a pair, maps made beforehand."""
+    """Both images of a pair, maps made beforehand."""
     left, right = bench.recorded
     remap = _remap(bench.rig)
     rectifier = Rectifier(bench.rig)
@@ -217,7 +217,7 @@ def triangulating(bench: Bench) -> Contestants:
 
 
 def chain(bench: Bench) -> Contestants:
-    """From two colour pictures as a camera gives them to the cloud."""
+    """From two colour images as a camera gives them to the cloud."""
     left, right = bench.recorded
     contestants: Contestants = {}
     if peers.has_ximgproc():
@@ -244,7 +244,7 @@ def _opencv_chain(bench: Bench) -> Callable[[], object]:
 
 
 def _distorted(image: Image, camera: Camera) -> Image:
-    """Return a rectified picture as its camera would record it."""
+    """Return a rectified image as its camera would record it."""
     columns, rows = np.meshgrid(*(np.arange(length, dtype=np.float64) for length in camera.size))
     recorded = np.stack([columns.ravel(), rows.ravel()], axis=-1)
     rectified = cv2.undistortPoints(recorded, camera.K, camera.D, R=camera.R, P=camera.P)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture pairs made from nothing, with known disparity: what timings and tests run on."""
+"""Image pairs made from nothing, with known disparity: what timings and tests run on."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class SyntheticPair:
     Attributes
     ----------
     left, right : (H, W, 3) uint8
-        Pictures, BGR.
+        Images, BGR.
     disparity_px : (H, W) float32
-        Exact disparity of the left picture.
+        Exact disparity of the left image.
     visible : (H, W) bool
         Pixels that the right camera sees too.
 
@@ -41,9 +41,9 @@ class SyntheticPair:
 def synthetic_pair(width: int, height: int, disparity_range: int, seed: int = 0) -> SyntheticPair:
     """Render a slanted ground, a wall and boxes, each a textured plane of disparity.
 
-    Every surface has a texture over the left picture's pixels and a disparity
+    Every surface has a texture over the left image's pixels and a disparity
     d = d0 + dx x + dy y, so both views are exact. The textures have the spectrum of natural
-    pictures (amplitude 1/f) at contrasts down to almost none; both pictures are noisy.
+    images (amplitude 1/f) at contrasts down to almost none; both images are noisy.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ def synthetic_pair(width: int, height: int, disparity_range: int, seed: int = 0)
     for plane, (x0, x1, y0, y1) in _surfaces(width, height, disparity_range, random):
         d0, dx, dy = plane
         texture, tint = _texture(width, height, random)
-        # a point of the plane lies at x - d in the right picture: the left x of a right pixel is
+        # a point of the plane lies at x - d in the right image: the left x of a right pixel is
         source_x = (x + d0 + dy * y) / (1 - dx)
-        for picture, nearest, at_x in ((left, nearest_left, x), (right, nearest_right, source_x)):
+        for image, nearest, at_x in ((left, nearest_left, x), (right, nearest_right, source_x)):
             disparity = d0 + dx * at_x + dy * y
             inside = (at_x >= x0) & (at_x < x1) & (y >= y0) & (y < y1) & (disparity > nearest)
             grey = cv2.remap(texture, at_x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-            picture[inside] = grey[inside, None] * tint
+            image[inside] = grey[inside, None] * tint
             nearest[inside] = disparity[inside]
     landed = np.rint(x - nearest_left).astype(np.intp)
     in_right = (landed >= 0) & (landed < width)
@@ -86,7 +86,7 @@ def synthetic_pair(width: int, height: int, disparity_range: int, seed: int = 0)
 def _surfaces(
     width: int, height: int, disparity_range: int, random: np.random.Generator
 ) -> list[tuple[tuple[float, float, float], tuple[float, float, float, float]]]:
-    """Return planes (d0, dx, dy) with their extent (x0, x1, y0, y1) in the left picture."""
+    """Return planes (d0, dx, dy) with their extent (x0, x1, y0, y1) in the left image."""
     near, far = _NEAREST * (disparity_range - 1), _FARTHEST * (disparity_range - 1)
     endless = (-np.inf, np.inf, -np.inf, np.inf)
     slope = (near - far) / (0.55 * height)

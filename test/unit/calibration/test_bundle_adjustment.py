@@ -153,7 +153,7 @@ def test_depth_is_as_good_as_theory_allows(placement_m: float) -> None:
     """A small part of ``calibrate --self-check``, with its limits."""
     (row,) = check_accuracy(sets=6, draws=1, placements_m=(placement_m,))
     assert row.bound_ratio < 1.15
-    assert 0.8 < row.honesty < 1.25
+    assert 0.8 < row.error_over_sigma < 1.25
     assert row.adjusted_px < 1.15 * 0.2
     if placement_m:
         assert np.mean(row.adjusted_m) < 0.5 * np.mean(row.planar_m)

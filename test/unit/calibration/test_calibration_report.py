@@ -12,7 +12,7 @@ import pytest
 
 from binocular_recon.calibration.model import rotation
 from binocular_recon.calibration.report.mark_errors import mark_errors_m
-from binocular_recon.calibration.report.report import BoardPicture, render_report
+from binocular_recon.calibration.report.report import BoardImage, render_report
 from binocular_recon.calibration.session.points_csv import read_points
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
@@ -92,7 +92,7 @@ def test_rods_of_two_marks_have_a_report() -> None:
 
 def test_report_shows_pictures() -> None:
     """They are inside the page: nothing is fetched."""
-    pictures = [BoardPicture('01', b'first'), BoardPicture('<2>', b'', 'a picture is missing')]
+    pictures = [BoardImage('01', b'first'), BoardImage('<2>', b'', 'a picture is missing')]
     page = render_report(solved(0.005), pictures)
     parser = Balanced()
     parser.feed(page)

@@ -50,7 +50,7 @@ def test_board_half_written_before_a_crash_does_not_count(tmp_path: Path) -> Non
     found = again.captures()
     assert [capture.name for capture in found.captures] == ['002']
     assert [(one.name, one.reason) for one in found.rejected] == [
-        ('001', 'there is no left picture')
+        ('001', 'there is no left image')
     ]
     folder = again.drop_all()
     assert folder and sorted(path.name for path in folder.iterdir()) == [

@@ -53,7 +53,7 @@ def test_rows_that_are_no_numbers_are_named_and_left_out(tmp_path: Path) -> None
         (HEAD + 'a,middle,0,0,0,1,1\n', "line 2: side must be left or right, got 'middle'"),
         (HEAD + 'a,left,0,0,0,x,1\n', 'holds no points; .*line 2: .* must be numbers'),
         (HEAD + 'a,left,0,0,0,1,1\nb,left,0,0.5,0,1,1\n', 'line 3: point 0 lies at'),
-        (HEAD + 'a,left,0,0,0,1,1\na,left,0,0,0,2,1\n', 'appears twice in the left picture of a'),
+        (HEAD + 'a,left,0,0,0,1,1\na,left,0,0,0,2,1\n', 'appears twice in the left image of a'),
         (HEAD + 'a,left,0,0,0,1e9,1\n', 'must be in pixels'),
     ],
 )

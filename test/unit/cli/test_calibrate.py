@@ -74,7 +74,7 @@ def test_images_to_a_calibrated_rig(
     assert [board['name'] for board in content['boards']] == list('01234')
     reasons = {board['name']: board['reason'] for board in content['rejected']}
     assert 'left_5.png is not an image' in reasons['5']
-    assert reasons['6'] == 'there is no right picture'
+    assert reasons['6'] == 'there is no right image'
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
     assert 'no board found' in reasons['8']
     assert 'rods were moved in between' in reasons['moved']
@@ -98,7 +98,7 @@ def _check_images(report: str, content: dict[str, Any]) -> None:
     """Every board with a readable image is shown, the marks of those used in green."""
     assert '<svg' in report
     figures = dict(
-        re.findall(r'<img alt="Board (\w+)" src="data:image/jpeg;base64,([^"]+)"', report)
+        re.findall(r'<img [^>]*alt="Board (\w+)" src="data:image/jpeg;base64,([^"]+)"', report)
     )
     assert set(figures) == {*'012345678', 'blurred', 'moved', 'swapped'}
     image = cv2.imdecode(np.frombuffer(b64decode(figures['0']), np.uint8), cv2.IMREAD_COLOR)
@@ -187,10 +187,10 @@ def test_problems_with_the_input(
         assert message in error and error.count('\n') == 1
         assert not (tmp_path / 'rig').exists()
 
-    refused(tmp_path / 'absent', 'is no folder')
+    refused(tmp_path / 'absent', 'is not a folder')
     empty = tmp_path / 'empty'
     empty.mkdir()
-    refused(empty, 'holds no pictures of boards')
+    refused(empty, 'holds no images of boards')
     blank = tmp_path / 'blank'
     blank.mkdir()
     for side in ('left', 'right'):
@@ -219,7 +219,7 @@ def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
     assert files.left is None and files.right is not None
     reading = read_board(files, BOARD)
     assert reading.capture is None
-    assert reading.reason == 'there are 2 left pictures (left_1.jpg, left_1.png); keep one'
+    assert reading.reason == 'there are 2 left images (left_1.jpg, left_1.png); keep one'
 
 
 def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
@@ -232,5 +232,5 @@ def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
     assert [capture.name for capture in found.captures] == ['0', '1']
     assert found.image_size == (960, 600)
     assert found.rejected[0].reason == (
-        'its pictures are 768x480 px, but most pictures are 960x600 px'
+        'its images are 768x480 px, but most images are 960x600 px'
     )

@@ -232,7 +232,7 @@ def test_scene_folders_are_found(scenes: Path, tmp_path: Path) -> None:
         find_scenes(scenes, ['lake'])
     with pytest.raises(FileError, match=r'holds no scene folder; a scene has left\.png'):
         find_scenes(tmp_path)
-    with pytest.raises(FileError, match='is no folder'):
+    with pytest.raises(FileError, match='is not a folder'):
         find_scenes(tmp_path / 'absent')
 
 

@@ -176,7 +176,7 @@ def test_table_2_says_how_marks_were_made(finished: tuple[Path, dict[str, Any]])
 
     assert words(run, other).endswith('marks simulated with 0.12 px of noise.')
     detected = replace(run, rendered=True)
-    assert words(detected).endswith('rods detected in pictures.')
+    assert words(detected).endswith('rods detected in images.')
     assert words(detected, other).endswith('px: rods exact: 0.300 / 0.200 / 0.100.')
 
 
