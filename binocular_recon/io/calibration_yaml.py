@@ -64,6 +64,7 @@ def read_rig(folder: str | Path) -> StereoRig:
 
     If saving a calibration was interrupted, its new files are read where they are.
     """
+    folder = Path(folder)
     left, right = (
         read_camera(next((path for path in places if path.exists()), places[-1]))
         for places in (
