@@ -38,6 +38,7 @@ extensions = [
     'sphinx.ext.viewcode',
 ]
 exclude_patterns = ['_build']
+exclude_patterns += ['__*', 'README.md', 'CHANGELOG.rst', 'CONTRIBUTING.md']  # added by rosdoc2
 default_role = 'py:obj'
 myst_heading_anchors = 3
 autodoc_member_order = 'bysource'
