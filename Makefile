@@ -107,7 +107,7 @@ site: setup
 	@$(INSTALL) .venv docs
 	.venv/bin/sphinx-build -q -W --keep-going -d docs/_build/doctrees docs docs/_build/html
 
-images: demo ## the README's pictures from what the demo made
+images: demo ## the README's images from the results of the demo
 	@$(RUN) docs/make_images.py out/demo
 
 maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
