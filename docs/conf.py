@@ -27,7 +27,7 @@ REFERENCE = Path(__file__).resolve().parent / 'api'
 ROOT_FILES = {'changelog': 'CHANGELOG.rst', 'contributing': 'CONTRIBUTING.md'}
 
 project = 'binocular_recon'
-author = f'The {project} authors'
+author = f'{project} maintainers'
 copyright = author  # noqa: A001 - the name that Sphinx reads
 version = release = binocular_recon.__version__
 
