@@ -87,8 +87,8 @@ def test_the_limits_are_those_of_the_code() -> None:
     limits = {spec.name: spec.metadata for spec in dataclasses.fields(MatchConfig)}
     count, least = limits['disparity_range'], limits['min_disparity']
     assert rows['disparities'] == (
-        f'{count["minimum"]} to {count["maximum"]}, the smallest within {least["minimum"]} to'
-        f' {least["maximum"]} px'
+        f'2 to {count["maximum"]} (0: found from the images), the smallest within'
+        f' {least["minimum"]} to {least["maximum"]} px'
     )
 
 
