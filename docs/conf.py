@@ -13,6 +13,7 @@ import importlib.util
 import inspect
 import pkgutil
 import re
+import typing
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -123,7 +124,7 @@ def _page(room: ModuleType, full: dict[str, str]) -> Iterator[str]:
             kind = 'autoexception' if issubclass(value, Exception) else 'autoclass'
             members = ('   :members:', '   :special-members: __call__, __iter__')
             yield from (f'.. {kind}:: {full[name]}', *members, '')
-        elif callable(value):
+        elif not _is_constant(value):
             yield from (f'.. autofunction:: {full[name]}', '')
         else:
             yield f'.. py:data:: {full[name]}'
@@ -132,8 +133,14 @@ def _page(room: ModuleType, full: dict[str, str]) -> Iterator[str]:
 
 def _summary(room: ModuleType, name: str) -> str:
     value = getattr(room, name)
-    lines = (inspect.getdoc(value) or '').splitlines() if callable(value) else _comment(room, name)
+    constant = _is_constant(value)
+    lines = _comment(room, name) if constant else (inspect.getdoc(value) or '').splitlines()
     return ' '.join(lines[: lines.index('')] if '' in lines else lines)
+
+
+def _is_constant(value: Any) -> bool:
+    """Return whether a name is a value or a type alias, which has a comment, not a docstring."""
+    return not callable(value) or typing.get_origin(value) is not None
 
 
 def _comment(room: ModuleType, name: str) -> list[str]:
