@@ -14,7 +14,8 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit units kernels jazzy jazzy-environment \
-        jazzy-system colcon evaluate benchmark docs images maintainers lock dist clean distclean
+        jazzy-system colcon evaluate benchmark docs nodes-page site images maintainers lock dist clean \
+        distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -30,7 +31,7 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run.
-test: lint units jazzy-system colcon ## everything that CI runs
+test: lint site units jazzy-system colcon ## everything that CI runs
 	$(PYTEST) --done test/unit
 
 lint: setup ## format, lint rules and types
@@ -97,10 +98,16 @@ benchmark: ## speed of each stage against its peers
 	@$(INSTALL) .venv-contrib contrib
 	@.venv-contrib/bin/python -m binocular_recon benchmark --output out
 
-docs: setup ## docs/nodes.md from what the nodes declare
+docs: nodes-page site ## docs/nodes.md from what the nodes declare, and the site in docs/_build/html
+
+nodes-page: setup
 	$(RUN) docs/make_nodes.py
 
-images: demo ## the README's pictures from what the demo made
+site: setup
+	@$(INSTALL) .venv docs
+	.venv/bin/sphinx-build -q -W --keep-going -d docs/_build/doctrees docs docs/_build/html
+
+images: demo ## the README's images from the results of the demo
 	@$(RUN) docs/make_images.py out/demo
 
 maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
@@ -119,7 +126,8 @@ dist: setup ## source distribution and wheel in dist/
 	rm -rf *.egg-info
 
 clean: ## what was built or computed; environments stay
-	rm -rf build dist install log out *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	rm -rf build dist install log out docs/_build docs/api *.egg-info .mypy_cache .pytest_cache \
+	    .ruff_cache
 	find . -path './.*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean ## environments too

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the README's pictures from what `demo` made: ``make_images.py FOLDER``."""
+"""Write the README's images from the results of `demo`: ``make_images.py FOLDER``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ IMAGES = Path(__file__).with_name('images')
 
 if __name__ == '__main__':
     for name in ('cloud', 'disparity'):
-        picture = read_image_file(Path(sys.argv[1], f'000000_{name}.png'))
+        image = read_image_file(Path(sys.argv[1], f'000000_{name}.png'))
         path = IMAGES / f'demo_{name}.jpg'
-        cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+        cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, 85])

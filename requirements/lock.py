@@ -27,6 +27,7 @@ LOCKS: dict[str, tuple[list[str], list[str]]] = {
     'ros-jazzy': (['-r', 'ros-jazzy.in'], ['oldest']),
     'test': (['-r', 'test.in'], ['runtime']),
     'dev': (['-r', 'dev.in'], ['runtime', 'test']),
+    'docs': (['-r', 'docs.in'], ['runtime', 'test', 'dev']),
     'contrib': (['.', 'setuptools', 'opencv-contrib-python-headless'], ['runtime']),
     'colcon': (['-r', 'colcon.in'], ['runtime', 'test']),
 }

@@ -106,10 +106,10 @@ def test_ranges_of_setup_and_manifest_agree(key: str) -> None:
     assert ranges == ({'<': Version(upper)} if upper else {})
 
 
-def test_the_readme_installs_what_ubuntu_lacks() -> None:
-    readme = (REPOSITORY / 'README.md').read_text()
-    (skipped,) = re.findall(r"--skip-keys '(.*)'", readme)
-    (installed,) = re.findall(r'^venv/bin/pip install (.*?) +#', readme, re.MULTILINE)
+def test_the_documentation_installs_what_ubuntu_lacks() -> None:
+    page = (REPOSITORY / 'docs' / 'install.md').read_text()
+    (skipped,) = re.findall(r"--skip-keys '(.*)'", page)
+    (installed,) = re.findall(r'^venv/bin/pip install (.*?) +#', page, re.MULTILINE)
     *packages, numpy = (Requirement(word.strip("'")) for word in installed.split())
     assert {package.name for package in packages} == {ROSDEP[key] for key in skipped.split()}
     assert {str(package) for package in packages} <= set(map(str, REQUIRED))

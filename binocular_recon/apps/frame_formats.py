@@ -105,6 +105,7 @@ def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
     write_image_file(path, np.hstack([bgr, drawing]))
 
 
+# The files of each frame, by a name for each; a new format is a new entry.
 FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),

@@ -59,11 +59,12 @@ def read_camera(path: Path) -> Camera:
         raise CalibrationError(f'{path}: {error}') from error
 
 
-def read_rig(folder: Path) -> StereoRig:
+def read_rig(folder: str | Path) -> StereoRig:
     """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as in `read_camera`.
 
     If saving a calibration was interrupted, its new files are read where they are.
     """
+    folder = Path(folder)
     left, right = (
         read_camera(next((path for path in places if path.exists()), places[-1]))
         for places in (

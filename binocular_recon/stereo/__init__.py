@@ -2,10 +2,11 @@
 """From an image pair to a point cloud: rectify, match, filter, triangulate (eq. 10-18).
 
 `pipeline` runs the chain, one line per step of the paper. Each stage has a subpackage or a module:
-`rectification` maps raw images onto common rows, `matching` measures disparities, `holes` fills
-pixels without a match, `filtering` denoises, `triangulation` computes metric points; `confidence`
-converts the standard deviation of a match to a number in [0, 1] and back. Exports the chain and
-its stages.
+`rectification` maps raw images onto common rows, `search_range` finds the disparities to search,
+`matching` measures them, `holes` fills pixels without a match, `filtering` denoises,
+`triangulation` computes metric points; `validity` tells measured from filled pixels, and
+`confidence` converts the standard deviation of a match to a number in [0, 1] and back. Exports
+the chain and its stages.
 """
 
 from typing import TYPE_CHECKING
@@ -21,18 +22,28 @@ if TYPE_CHECKING:
     )
     from binocular_recon.stereo.matching.matcher import Match
     from binocular_recon.stereo.matching.registry import match, register_matcher
-    from binocular_recon.stereo.pipeline import Chain, Reconstruction, estimate_disparity
+    from binocular_recon.stereo.pipeline import (
+        Chain,
+        DisparityEstimate,
+        Reconstruction,
+        estimate_disparity,
+    )
     from binocular_recon.stereo.rectification import Rectifier
+    from binocular_recon.stereo.search_range import SearchRange
     from binocular_recon.stereo.triangulation import Cloud, triangulate
+    from binocular_recon.stereo.validity import Validity
 
 __all__ = [
     'Chain',
     'Cloud',
+    'DisparityEstimate',
     'DisparityFilter',
     'Filtered',
     'Match',
     'Reconstruction',
     'Rectifier',
+    'SearchRange',
+    'Validity',
     'confidence_from_sigma',
     'estimate_disparity',
     'filter_disparity',
