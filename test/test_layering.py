@@ -191,7 +191,7 @@ def test_every_room_says_what_it_is_for() -> None:
 
 def test_kernels_are_where_their_cache_looks_for_them() -> None:
     """The stamp of compiled kernels covers the modules ``_*_kernels``, so all are there."""
-    decorators = {'kernel', 'ordered_kernel', 'inline_kernel'}
+    decorators = {'kernel', 'exact_kernel', 'ordered_kernel', 'inline_kernel'}
     for path in MODULES:
         tree = ast.parse(path.read_text())
         used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
