@@ -9,9 +9,9 @@ import re
 
 import pytest
 
-from binocular_recon.camera import DISTORTION_COEFFICIENTS
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.io.messages.images import ENCODINGS
+from binocular_recon.lenses import LENSES
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 from test.conftest import REPOSITORY
 
@@ -59,7 +59,7 @@ def test_readme_states_the_defaults_of_real_parameters() -> None:
 
 def test_readme_states_the_limits() -> None:
     assert f'{LARGEST_SIDE_PX} px a side' in _readme_row('pictures')
-    assert _readme_row('lenses').split(', ') == list(DISTORTION_COEFFICIENTS)
+    assert _readme_row('lenses').split(', ') == list(LENSES)
     stated = re.sub(r'\(.*?\)', '', _readme_row('encodings').partition(';')[0])
     assert {name.strip() for name in stated.split(',')} == set(ENCODINGS)
     limits = {spec.name: spec.metadata for spec in dataclasses.fields(MatchConfig)}

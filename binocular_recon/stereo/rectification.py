@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rectification: the raw pictures of a rig become pictures whose rows correspond."""
+"""Rectification: the raw images of a rig become images whose rows correspond."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from binocular_recon.images import Image
 
 Map = npt.NDArray[np.float32]
 
-# Longest side of a picture that cv2.remap takes.
+# Longest side of an image that cv2.remap takes.
 LARGEST_SIDE_PX = 32766
 # Largest element of R R^T - I that a rotation may have: files hold it with few digits.
 _ROTATION_TOLERANCE = 1e-3
-# Points along each side of the picture that stand for its border in `_border_points`.
+# Points along each side of the image that stand for its border in `_border_points`.
 _BORDER_SAMPLES = 65
 
 
 def rectification_maps(camera: Camera) -> tuple[Map, Map]:
-    """Return where each rectified pixel lies in the raw picture.
+    """Return where each rectified pixel lies in the raw image.
 
     Parameters
     ----------
     camera : Camera
-        Calibrated camera; ``R`` and ``P`` define the rectified picture.
+        Calibrated camera; ``R`` and ``P`` define the rectified image.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
 
 
 def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
-    """Return where points of the raw picture lie in the rectified one.
+    """Return where points of the raw image lie in the rectified one.
 
     Parameters
     ----------
@@ -57,23 +57,23 @@ def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
     Returns
     -------
     points_px : (N, 2) float64
-        Rectified columns and rows, px.
+        Rectified columns and rows, px; NaN where the lens model does not invert.
 
     """
-    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
-    points: FloatArray = module.undistortPoints(
-        points_px[:, None], camera.K, camera.D, R=camera.R, P=camera.P[:, :3]
-    )
-    return points[:, 0]
+    rays = camera.lens.rays(points_px, camera.K, camera.D)
+    homography = camera.P[:, :3] @ camera.R
+    mapped = rays @ homography[:, :2].T + homography[:, 2]
+    points: FloatArray = mapped[:, :2] / mapped[:, 2:]
+    return points
 
 
 class Rectifier:
-    """Rectify picture pairs of one rig; the maps are made once.
+    """Rectify image pairs of one rig; the maps are computed once.
 
     Parameters
     ----------
     rig : StereoRig
-        Calibration of the raw pictures.
+        Calibration of the raw images.
     alpha : float
         -1 uses P as it is. 0..1 scales the focal length of both cameras about their principal
         points, as ``cv2.stereoRectify`` does: at 0 every rectified pixel has data, at 1 every raw
@@ -91,9 +91,10 @@ class Rectifier:
     ConfigError
         If ``alpha`` is neither -1 nor within 0..1.
     CalibrationError
-        If an R is no rotation.
+        If an R is not a rotation, or ``alpha`` needs an image border that the lens model cannot
+        undistort.
     ImageError
-        If the pictures are larger than `LARGEST_SIDE_PX`.
+        If the images are larger than `LARGEST_SIDE_PX`.
 
     """
 
@@ -104,7 +105,7 @@ class Rectifier:
             raise ConfigError(f'alpha must be -1 (keep P) or within 0..1, got {alpha}')
         if max(rig.left.size) > LARGEST_SIDE_PX:
             raise ImageError(
-                f'pictures of {rig.left.width}x{rig.left.height} px cannot be rectified; their'
+                f'images of {rig.left.width}x{rig.left.height} px cannot be rectified; their'
                 f' longest side may have {LARGEST_SIDE_PX} px'
             )
         _check_rotation(rig.left, 'left')
@@ -114,8 +115,8 @@ class Rectifier:
         self.rig = StereoRig(_rectified(rig.left), _rectified(rig.right))
         self._size = rig.left.size
         self._interpolation = interpolation
-        # Not made fixed-point, as convertMaps would: OpenCV 5 takes these as exact as they are and
-        # grey pictures in half the time. OpenCV 4 rounds either to 1/32 px.
+        # Not converted to fixed point, as convertMaps would: OpenCV 5 uses these exactly
+        # and remaps grey images in half the time. OpenCV 4 rounds either to 1/32 px.
         self._maps = rectification_maps(rig.left), rectification_maps(rig.right)
 
     def __call__(self, left: Image, right: Image) -> tuple[Image, Image]:
@@ -124,17 +125,17 @@ class Rectifier:
         Parameters
         ----------
         left, right : (H, W) or (H, W, C), uint8, uint16 or float32
-            Raw pictures of the calibrated size.
+            Raw images of the calibrated size.
 
         Returns
         -------
         left, right : same shape and dtype
-            Rectified pictures; 0 where the raw picture has no data.
+            Rectified images; 0 where the raw image has no data.
 
         Raises
         ------
         ImageError
-            If a picture has not the calibrated size.
+            If an image does not have the calibrated size.
 
         """
         rectified = []
@@ -148,13 +149,13 @@ def _check_rotation(camera: Camera, side: str) -> None:
     deviation = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
     if deviation > _ROTATION_TOLERANCE or np.linalg.det(camera.R) < 0:
         raise CalibrationError(
-            f'{side} camera: R is no rotation (R R^T is {deviation:.2g} from the identity,'
+            f'{side} camera: R is not a rotation (R R^T is {deviation:.2g} from the identity,'
             f' determinant {np.linalg.det(camera.R):.2g}); calibrate as a stereo rig'
         )
 
 
 def check_size(image: Image, size: tuple[int, int], side: str) -> None:
-    """Raise an ImageError if ``image`` has not the calibrated ``size`` (width, height)."""
+    """Raise an ImageError if ``image`` does not have the calibrated ``size`` (width, height)."""
     height, width = image.shape[:2]
     if (width, height) != size:
         raise ImageError(
@@ -179,7 +180,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
     for camera in (rig.left, rig.right):
         left, top, right, bottom = _border_points(camera)
         centre = camera.P[:2, 2]
-        # distance of the picture's four sides from the principal point, and of the data's
+        # distance of the image's four sides from the principal point, and of the data's
         sides = np.array([*centre, camera.width - 1 - centre[0], camera.height - 1 - centre[1]])
         nearest = [left[:, 0].max(), top[:, 1].max(), right[:, 0].min(), bottom[:, 1].min()]
         every = np.concatenate([left, top, right, bottom])
@@ -196,7 +197,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
 
 
 def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the left, top, right and bottom border of the raw picture, rectified, px."""
+    """Return the left, top, right and bottom border of the raw image, rectified, px."""
     x = np.linspace(0, camera.width - 1, _BORDER_SAMPLES)
     y = np.linspace(0, camera.height - 1, _BORDER_SAMPLES)
     sides = [
@@ -204,5 +205,13 @@ def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, 
         for column, row in ((x[0], y), (x, y[0]), (x[-1], y), (x, y[-1]))
     ]
     raw = np.concatenate(sides)
-    left, top, right, bottom = rectified_points(camera, raw).reshape(4, _BORDER_SAMPLES, 2)
+    points = rectified_points(camera, raw)
+    lost = np.isnan(points[:, 0]).mean()
+    if lost:
+        raise CalibrationError(
+            f'{camera.distortion_model} cannot undistort {lost:.0%} of the image border with'
+            f' D = {camera.D.tolist()}, which alpha would need; use alpha -1, or calibrate with'
+            ' boards near the corners'
+        )
+    left, top, right, bottom = points.reshape(4, _BORDER_SAMPLES, 2)
     return left, top, right, bottom

@@ -159,12 +159,18 @@ def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> Non
 @pytest.mark.parametrize(
     ('R', 'message'),
     [
-        (np.zeros((3, 3)), r'right camera: R is no rotation \(R R\^T is 1 from the identity, det'),
-        (1.01 * np.eye(3), r'R is no rotation \(R R\^T is 0\.02 from'),
-        (np.diag([1, 1, -1]), r'R is no rotation .* determinant -1\); calibrate as a stereo rig'),
+        (
+            np.zeros((3, 3)),
+            r'right camera: R is not a rotation \(R R\^T is 1 from the identity, det',
+        ),
+        (1.01 * np.eye(3), r'R is not a rotation \(R R\^T is 0\.02 from'),
+        (
+            np.diag([1, 1, -1]),
+            r'R is not a rotation .* determinant -1\); calibrate as a stereo rig',
+        ),
     ],
 )
-def test_what_is_no_rotation_is_refused(R: FloatArray, message: str) -> None:
+def test_what_is_not_a_rotation_is_refused(R: FloatArray, message: str) -> None:
     rig = make_rig()[0]
     with pytest.raises(CalibrationError, match=message):
         Rectifier(dataclasses.replace(rig, right=dataclasses.replace(rig.right, R=R)))
