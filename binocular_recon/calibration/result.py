@@ -19,7 +19,7 @@ from binocular_recon.calibration.adjustment.uncertainty import (
     matching_sigma_m,
 )
 from binocular_recon.calibration.advice import Advice
-from binocular_recon.calibration.model import PARAMETERS, StereoCalibration
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.camera import FloatArray, StereoRig
@@ -140,7 +140,7 @@ class CalibrationResult:
         """One standard deviation of the baseline (m) and of each free parameter."""
         free = self.estimate.problem.free
         sigmas = np.sqrt(np.diag(self.estimate.covariance))
-        names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+        names = np.array(self.calibration.parameters)[free].tolist()
         found = {'baseline_m': baseline_sigma_m(self.calibration, free, self.estimate.covariance)}
         for name, sigma in zip(names, sigmas, strict=True):
             unit = _UNITS[name[0]]
@@ -240,5 +240,7 @@ def row_statistics(row_difference_px: FloatArray) -> dict[str, float]:
 
 
 def _camera(calibration: StereoCalibration, side: str) -> dict[str, Any]:
-    K, D, _, _ = calibration.side(side)
-    return {'K': K.tolist(), 'D': (D if D[5:].any() else D[:5]).tolist()}
+    return {
+        'K': calibration.side(side)[0].tolist(),
+        'D': calibration.stated_lens(side)[1].tolist(),
+    }

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from binocular_recon.errors import CalibrationError
 
 # Points per side of the grid over a picture on which resampling is measured.
 _GRID = 9
-# A point must come back from undistortion this closely, px, in this share of the picture.
-_RETURN_PX, _LEAST_USABLE = 0.1, 0.5
+# Distortion must be invertible in this share of the image.
+_LEAST_USABLE = 0.5
 # Distortion of a lens changes the local scale by less than a factor of 3 (its logarithm).
 _TORN = np.log(3)
 
@@ -45,12 +45,14 @@ class ImageGrid:
     Attributes
     ----------
     points_px : (N, 2) float64
-        A grid over the raw picture, undistorted, px. Points that the distortion model does not
-        map back to themselves are left out: few boards may leave it absurd in the corners.
+        A grid over the raw image, undistorted, px. Points at which the distortion is not
+        invertible are left out (few boards may leave it so in the corners), and those that a
+        fisheye lens sees so far out that a rectified image would stretch them threefold.
     jacobians : (N, 2, 2) float64
         Derivative of the undistorted by the raw position at each point.
     usable_share : float
-        Share of the grid that is kept.
+        Share of the grid at which the distortion is invertible, of that which is less than 90
+        degrees from the optical axis.
 
     """
 
@@ -64,24 +66,30 @@ class ImageGrid:
         width, height = calibration.image_size
         axes = np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)
         raw = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        step = 0.5 * np.eye(2)
         points = calibration.undistort(raw, side)
-        returned = calibration.distort(points, side)
-        usable = np.linalg.norm(returned - raw, axis=1) < _RETURN_PX
-        columns = [
-            calibration.undistort(raw + s, side) - calibration.undistort(raw - s, side)
-            for s in step
-        ]
-        jacobians = np.stack(columns, axis=-1)
-        # next to a fold the picture is torn apart, behind it directions turn round
-        scales = np.linalg.svd(jacobians, compute_uv=False)
-        usable &= (np.linalg.det(jacobians) > 0) & (np.abs(np.log(scales)) < _TORN).all(axis=-1)
-        if usable.mean() < _LEAST_USABLE:
+        jacobians = _jacobians(calibration, raw, side)
+        scales = _scales(jacobians)
+        # what an ideal lens of this kind does to the image is known everywhere it has rays
+        ideal = replace(
+            calibration,
+            D_left=np.zeros_like(calibration.D_left),
+            D_right=np.zeros_like(calibration.D_right),
+        )
+        ideal_scales = _scales(_jacobians(ideal, raw, side))
+        shown = np.isfinite(ideal_scales).all(axis=-1)
+        # next to a fold the image is torn apart
+        with np.errstate(invalid='ignore'):
+            torn = (np.abs(np.log(scales / ideal_scales)) > _TORN).any(axis=-1)
+            usable = shown & np.isfinite(scales).all(axis=-1) & ~torn
+            # where even an ideal fisheye lens stretches a lot, a rectified image is of little use
+            kept = usable & (np.abs(np.log(scales)) < _TORN).all(axis=-1)
+        share = float(usable.sum() / shown.sum())
+        if share < _LEAST_USABLE:
             raise CalibrationError(
-                f'the distortion of the {side} camera is absurd: it cannot be undone in'
-                f' {1 - usable.mean():.0%} of the picture; capture boards in more of the picture'
+                f'the distortion of the {side} camera is not invertible in {1 - share:.0%} of the'
+                ' image; capture boards in more of the image'
             )
-        return cls(points[usable], jacobians[usable], float(usable.mean()))
+        return cls(points[kept], jacobians[kept], share)
 
     def resampling(self, homography: FloatArray) -> FloatArray:
         """Return how far each singular value of raw -> corrected departs from 1, (2 N,)."""
@@ -95,6 +103,23 @@ class ImageGrid:
         """Return the third homogeneous coordinate of the mapped grid, (N,)."""
         w: FloatArray = self.points_px @ homography[2, :2] + homography[2, 2]
         return w
+
+
+def _jacobians(calibration: StereoCalibration, raw: FloatArray, side: str) -> FloatArray:
+    """Return the derivatives of undistorted by raw positions (N, 2), (N, 2, 2); NaN = none."""
+    columns = [
+        calibration.undistort(raw + s, side) - calibration.undistort(raw - s, side)
+        for s in 0.5 * np.eye(2)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def _scales(jacobians: FloatArray) -> FloatArray:
+    """Return the singular values of matrices (N, 2, 2), NaN where a matrix is."""
+    known = np.isfinite(jacobians).all(axis=(1, 2))
+    scales = np.full((len(jacobians), 2), np.nan)
+    scales[known] = np.linalg.svd(jacobians[known], compute_uv=False)
+    return scales
 
 
 def apply(homography: FloatArray, pixels: FloatArray) -> FloatArray:

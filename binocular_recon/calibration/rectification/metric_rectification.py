@@ -12,13 +12,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.rectification.epipolar import check_epipoles
 from binocular_recon.calibration.rectification.homography import (
     Correction,
     ImageGrid,
     centring,
     check_in_front,
 )
-from binocular_recon.calibration.rectification.polar import check_epipoles
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 
@@ -115,14 +115,5 @@ def _metric_pair(
 
 def _camera(calibration: StereoCalibration, side: str, R: FloatArray, P: FloatArray) -> Camera:
     width, height = calibration.image_size
-    K, D, _, _ = calibration.side(side)
-    rational = D[5:].any()
-    return Camera(
-        width=width,
-        height=height,
-        K=K,
-        D=D if rational else D[:5],
-        R=R,
-        P=P,
-        distortion_model='rational_polynomial' if rational else 'plumb_bob',
-    )
+    model, D = calibration.stated_lens(side)
+    return Camera(width, height, calibration.side(side)[0], D, R, P, model)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from binocular_recon.calibration.detection.detect import detect_rods
+from binocular_recon.calibration.rectification.epipolar import free_pair
 from binocular_recon.calibration.rectification.metric_rectification import (
     correction_of,
     metric_rig,
 )
-from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks
 from binocular_recon.calibration.result import CalibrationResult, row_statistics
 from binocular_recon.calibration.screening import observations

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.screening import complaint
+from binocular_recon.calibration.screening import rejection_reason
 from binocular_recon.calibration.session.calibration_files import finish_saving, save_calibration
 from binocular_recon.calibration.session.capture_store import CaptureStore
 from binocular_recon.calibration.session.captures import CaptureSet
@@ -179,8 +179,8 @@ class CalibrationServices:
     ) -> str | None:
         """Return why a capture cannot be used with the stored boards, None if it can."""
         if stored is None:
-            return complaint(capture, self._target, size, ())
-        return describe_size_change(size, stored.image_size) or complaint(
+            return rejection_reason(capture, self._target, size, ())
+        return describe_size_change(size, stored.image_size) or rejection_reason(
             capture, self._target, size, stored.captures
         )
 
