@@ -38,14 +38,14 @@ class Stage:
     Attributes
     ----------
     calibration : StereoCalibration
-        Both cameras; those of the corrected pictures in the stage ``corrected``.
+        Both cameras; those of the corrected images in the stage ``corrected``.
     residuals_px : (B, R, M, 4) float64
-        Observed - predicted in the original pictures (left u, v, right u, v); NaN = not used.
+        Observed - predicted in the original images (left u, v, right u, v); NaN = not used.
     marks_m : (B, R, M, 3) float64
-        Marks reconstructed from both pictures in this calibration's left camera; NaN = not seen
+        Marks reconstructed from both images in this calibration's left camera; NaN = not seen
         by both.
     row_difference_px : (B, R, M) float64
-        Row in the left minus row in the right picture, of the original pictures (planar) or the
+        Row in the left minus row in the right image, of the original images (planar) or the
         rectified ones (corrected, adjusted); NaN = not seen by both.
 
     """
@@ -82,7 +82,7 @@ class CalibrationResult:
     rig : StereoRig
         The adjusted calibration with the R and P that rectify it.
     planar, corrected, adjusted : Stage
-        Zhang's method; the same after polar-line correction; the joint adjustment.
+        Zhang's method; the same after epipolar correction; the joint adjustment.
     estimate : Estimate
         Adjusted parameters, their covariance, the noise found.
     evidence : tuple of Evidence
@@ -162,7 +162,7 @@ class CalibrationResult:
         Returns
         -------
         float
-            Root mean square over the middle half of the pictures; NaN where they do not overlap.
+            Root mean square over the middle half of the images; NaN where they do not overlap.
 
         """
         points = field_of_view(self.calibration, depth_m)
@@ -219,7 +219,7 @@ class CalibrationResult:
         }
 
     def _boards(self) -> list[dict[str, Any]]:
-        # in both pictures, as a crew counts them
+        # in both images, as a crew counts them
         counts = np.isfinite(self.adjusted.residuals_px).all(axis=-1).sum(axis=(1, 2))
         return [
             {

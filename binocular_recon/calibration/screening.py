@@ -23,7 +23,7 @@ from binocular_recon.errors import CalibrationError
 MIN_BOARDS = 3
 # What the paper used; fewer are accepted with a warning.
 RECOMMENDED_BOARDS = 11
-# Largest misfit of a board: this many px plus this share of its size in the picture, which
+# Largest misfit of a board: this many px plus this share of its size in the image, which
 # leaves room for lens distortion and for rods that stand a few centimetres off.
 FLATNESS_PX, FLATNESS_SHARE = 4.0, 0.04
 # Boards whose marks all lie this close (median, px) to those of another one show the same scene.
@@ -194,7 +194,7 @@ def _check_shape(capture: Capture, target: Target) -> None:
 
 
 def _check_rods(captures: Sequence[Capture], target: Target) -> None:
-    """Raise a CalibrationError if rods are described that no picture shows."""
+    """Raise a CalibrationError if rods are described that no image shows."""
     if not target.has_rods:
         return
     seen = np.any(np.isfinite(observations(captures)), axis=(0, 2, 3))
@@ -213,13 +213,13 @@ def _too_few_marks(capture: Capture, target: Target) -> str | None:
     if both.sum() < MIN_MARKS:
         left, right = (int(seen.sum()) for seen in found)
         return (
-            f'{both.sum()} of {total} marks found in both pictures (left {left}, right {right}),'
+            f'{both.sum()} of {total} marks found in both images (left {left}, right {right}),'
             f' at least {MIN_MARKS} are needed'
         )
     points = target.nominal_m[both][:, :2]
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < 0.02 * spread[0]:
-        return 'the marks found in both pictures lie on one line; at least two rods are needed'
+        return 'the marks found in both images lie on one line; at least two rods are needed'
     return None
 
 
@@ -234,14 +234,14 @@ def _misfit(
         seen = np.isfinite(pixels).all(axis=-1)
         if (pixels[seen] < -0.5).any() or (pixels[seen] > np.array(image_size) - 0.5).any():
             width, height = image_size
-            return f'marks of the {side} picture lie outside its {width}x{height} px'
+            return f'marks of the {side} image lie outside its {width}x{height} px'
         error = _board_error_px(points[seen], pixels[seen], image_size, lens)
         if error is None:
             return f'the marks of the {side} image do not form a board'
         size = float(np.linalg.norm(np.ptp(pixels[seen], axis=0)))
         if error > FLATNESS_PX + FLATNESS_SHARE * size:
             return (
-                f'the marks of the {side} picture miss a board as described by {error:.0f} px; a'
+                f'the marks of the {side} image miss a board as described by {error:.0f} px; a'
                 ' rod or a mark was taken for another one, or stands elsewhere'
             )
     return None

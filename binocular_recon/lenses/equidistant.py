@@ -7,6 +7,7 @@ import math
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
 
@@ -61,6 +62,16 @@ class EquidistantLens(Lens):
         stretch = np.where(near, 1.0, np.tan(theta) / np.where(near, 1.0, distance))
         rays: FloatArray = points * stretch[..., None]
         return rays
+
+    def in_front(self, points: FloatArray, D: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which distorted points (..., 2) are less than 90 degrees from the axis."""
+        unfolded = math.sqrt(least_root(_angle_slopes(D)[::2])) > self.LARGEST_ANGLE
+        # how far the last ray is from the centre; a folded image does not tell
+        coefficients = _angle_coefficients(D if unfolded else np.zeros(4))
+        inside: npt.NDArray[np.bool_] = np.linalg.norm(points, axis=-1) <= polyval(
+            self.LARGEST_ANGLE, coefficients
+        )
+        return inside
 
     @staticmethod
     def _ratio(rays: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

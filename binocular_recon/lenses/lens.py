@@ -60,6 +60,14 @@ class Lens(ABC):
         only one behind a fold of the image. NaN stays NaN.
         """
 
+    def in_front(self, points: FloatArray, D: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which distorted points (..., 2) should have a ray: all, unless a lens sees more.
+
+        Those that have none by `undistort` nevertheless lie behind a fold of the image.
+        """
+        del D
+        return np.ones(points.shape[:-1], np.bool_)
+
     def pixels(self, rays: FloatArray, K: FloatArray, D: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) at which a camera images rays (..., 2)."""
         focal, centre = np.diag(K)[:2], K[:2, 2]

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Homographies of a pair of pictures, and how much they resample them."""
+"""Homographies of a pair of images, and how much they resample them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.images import Mask
 
-# Points per side of the grid over a picture on which resampling is measured.
+# Points per side of the grid over an image on which resampling is measured.
 _GRID = 9
 # Distortion must be invertible in this share of the image.
 _LEAST_USABLE = 0.5
@@ -40,7 +41,7 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class ImageGrid:
-    """What the choice of a homography needs to know of one raw picture.
+    """What the choice of a homography needs to know of one raw image.
 
     Attributes
     ----------
@@ -62,28 +63,22 @@ class ImageGrid:
 
     @classmethod
     def of(cls, calibration: StereoCalibration, side: str) -> ImageGrid:
-        """Lay the grid over the picture of ``'left'`` or ``'right'``."""
+        """Make the grid over the image of ``'left'`` or ``'right'``."""
         width, height = calibration.image_size
         axes = np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)
         raw = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         points = calibration.undistort(raw, side)
         jacobians = _jacobians(calibration, raw, side)
-        scales = _scales(jacobians)
-        # what an ideal lens of this kind does to the image is known everywhere it has rays
-        ideal = replace(
-            calibration,
-            D_left=np.zeros_like(calibration.D_left),
-            D_right=np.zeros_like(calibration.D_right),
-        )
-        ideal_scales = _scales(_jacobians(ideal, raw, side))
-        shown = np.isfinite(ideal_scales).all(axis=-1)
-        # next to a fold the image is torn apart
-        with np.errstate(invalid='ignore'):
-            torn = (np.abs(np.log(scales / ideal_scales)) > _TORN).any(axis=-1)
-            usable = shown & np.isfinite(scales).all(axis=-1) & ~torn
-            # where even an ideal fisheye lens stretches a lot, a rectified image is of little use
-            kept = usable & (np.abs(np.log(scales)) < _TORN).all(axis=-1)
-        share = float(usable.sum() / shown.sum())
+        K, D, _, _ = calibration.side(side)
+        lens = calibration.lens_model
+        expected = lens.in_front((raw - K[:2, 2]) / np.diag(K)[:2], D)
+        rays = (points - K[:2, 2]) / np.diag(K)[:2]
+        # compared with the ideal lens: next to a fold the image is torn apart
+        own, ideal = (lens.derivatives(rays, d, np.ones(2))[1] for d in (D, np.zeros_like(D)))
+        usable = _scales_little(own @ np.linalg.inv(ideal))
+        # where even an ideal fisheye lens stretches a lot, a rectified image is of little use
+        kept = usable & _scales_little(jacobians)
+        share = float(usable[expected].mean())
         if share < _LEAST_USABLE:
             raise CalibrationError(
                 f'the distortion of the {side} camera is not invertible in {1 - share:.0%} of the'
@@ -114,12 +109,13 @@ def _jacobians(calibration: StereoCalibration, raw: FloatArray, side: str) -> Fl
     return np.stack(columns, axis=-1)
 
 
-def _scales(jacobians: FloatArray) -> FloatArray:
-    """Return the singular values of matrices (N, 2, 2), NaN where a matrix is."""
-    known = np.isfinite(jacobians).all(axis=(1, 2))
-    scales = np.full((len(jacobians), 2), np.nan)
+def _scales_little(jacobians: FloatArray) -> Mask:
+    """Return which matrices (N, 2, 2) scale by less than ``_TORN`` in any direction, (N,)."""
+    known: Mask = np.all(np.isfinite(jacobians), axis=(1, 2))
+    scales = np.full((len(known), 2), np.inf)
     scales[known] = np.linalg.svd(jacobians[known], compute_uv=False)
-    return scales
+    little: Mask = np.all(np.abs(np.log(scales)) < _TORN, axis=-1)
+    return little
 
 
 def apply(homography: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -138,10 +134,10 @@ def apply_inverse(homography: FloatArray, pixels: FloatArray) -> FloatArray:
 def centring(
     aligned: Correction, left: ImageGrid, right: ImageGrid, image_size: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shifts (l3, r3 and the common u0 of eq. 9) that centre both pictures."""
+    """Return the shifts (l3, r3 and the common u0 of eq. 9) that centre both images."""
     means = [
-        apply(H, picture.points_px).mean(axis=0)
-        for H, picture in ((aligned.H_left, left), (aligned.H_right, right))
+        apply(H, grid.points_px).mean(axis=0)
+        for H, grid in ((aligned.H_left, left), (aligned.H_right, right))
     ]
     x_centre, y_centre = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     rows = y_centre - (means[0][1] + means[1][1]) / 2
@@ -153,6 +149,6 @@ def check_in_front(*denominators: FloatArray) -> None:
     """Raise a CalibrationError unless a homography maps its whole image in front of the camera."""
     if min(w.min() for w in denominators) <= 0:
         raise CalibrationError(
-            'an epipole lies too close to its picture for rows to be aligned; mount the cameras'
+            'an epipole lies too close to its image for rows to be aligned; mount the cameras'
             ' side by side with their axes nearly parallel'
         )

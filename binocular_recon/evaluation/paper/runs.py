@@ -64,7 +64,7 @@ class PaperRun:
         Table 2: mean reprojection error of each board, all methods.
     rows : list of list of float
         Table 1: of six marks of one rod the row in the left and right picture as taken, after
-        polar-line correction, and rectified with the adjusted calibration, px; NaN = not found.
+        epipolar correction, and rectified with the adjusted calibration, px; NaN = not found.
     rows_px : dict of str to float
         Mean row difference of all marks on the held-out board: uncorrected, corrected, adjusted.
     errors_mm : dict of str to list of float

@@ -45,7 +45,7 @@ def make_rig(model: str = 'plumb_bob') -> tuple[StereoRig, FloatArray, FloatArra
 
 
 def project(points: FloatArray, camera: Camera) -> FloatArray:
-    """Project points in the camera's own frame to its raw picture."""
+    """Project points in the camera's own frame to its raw image."""
     zero = np.zeros(3)
     module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
     pixels: FloatArray = module.projectPoints(points[:, None], zero, zero, camera.K, camera.D)[0]
@@ -134,7 +134,7 @@ def test_alpha_0_has_no_empty_pixel_and_alpha_1_loses_none(model: str) -> None:
         assert map_y.min() <= 1 and map_y.max() >= SIZE[1] - 2
 
 
-def test_pictures_are_taken_from_where_the_maps_lead() -> None:
+def test_images_are_taken_from_where_the_maps_lead() -> None:
     rig = make_rig()[0]
     ramps = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
     rectifier = Rectifier(rig)
@@ -189,7 +189,7 @@ def test_wrong_size_is_refused() -> None:
         rectifier(good, bad)
 
 
-def test_pictures_larger_than_opencv_takes_are_refused() -> None:
+def test_images_larger_than_opencv_takes_are_refused() -> None:
     rig = make_rig()[0]
     left, right = (dataclasses.replace(camera, width=33_000) for camera in (rig.left, rig.right))
     with pytest.raises(ImageError, match=r'of 33000x200 px cannot be rectified; .* 32766 px'):
