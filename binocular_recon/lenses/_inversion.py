@@ -11,6 +11,8 @@ import numpy as np
 from binocular_recon.lenses.lens import FloatArray
 
 _STEPS = 80
+# Functions are evaluated this closely to their limit, which may be a pole, as a share of it.
+_INSIDE = 1 - 1e-9
 
 
 def inverse(
@@ -24,7 +26,7 @@ def inverse(
     Newton's method, with bisection wherever that leaves the bracket.
     """
     low = np.zeros_like(target)
-    high = np.full_like(target, limit)
+    high = np.full_like(target, _INSIDE * limit)
     if math.isinf(limit):
         high = np.maximum(2 * target, 1.0)
         for _ in range(_STEPS):

@@ -112,6 +112,23 @@ def test_round_trips_of_any_coefficients_are_exact_or_nan(name: str) -> None:
     assert undone[0] > 0.9 and min(undone) < 0.5
 
 
+@pytest.mark.parametrize(
+    'D',
+    [
+        [-0.318, -0.191, -0.003, -0.002, 0.106, 0.028, 0.387, -0.351],
+        [-0.23, 0.188, -0.001, 0.0, -0.091, -0.352, 0.839, -0.347],
+        [0.516, -0.915, -0.004, 0.003, 0.501, 0.037, 0.816, -0.23],
+    ],
+)
+def test_a_pole_outside_of_the_image_does_not_matter(D: list[float]) -> None:
+    """A rational lens whose denominator vanishes at radius 1.4 to 2; the rays end at 0.6."""
+    angle, radius = np.meshgrid(np.linspace(0, 2 * np.pi, 24), np.linspace(0, 0.6, 31))
+    rays = radius[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    lens, coefficients = LENSES['rational_polynomial'], np.array(D)
+    found = lens.undistort(lens.distort(rays, coefficients), coefficients)
+    np.testing.assert_allclose(found, rays, atol=1e-12)
+
+
 def test_behind_a_fold_nothing_is_made_up() -> None:
     """Radius r (1 - r^2 / 3) grows up to r = 1, where it is 2 / 3, and falls beyond."""
     lens, D = LENSES['plumb_bob'], np.array([-1 / 3, 0, 0, 0])
