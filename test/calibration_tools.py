@@ -21,8 +21,8 @@ from binocular_recon.evaluation.calibration.self_check import (
     simulated_captures,
     true_calibration,
 )
-from binocular_recon.simulation.rig import survey_rig
-from binocular_recon.simulation.rods import paper_board, with_placement
+from binocular_recon.simulation.rig import fisheye_rig, survey_rig
+from binocular_recon.simulation.rods import paper_board, place_board, with_placement
 
 DATA = Path(__file__).parent / 'data'
 CHESSBOARD = DATA / 'chessboard_points.csv'
@@ -46,6 +46,31 @@ def captures_of(
 def truth() -> StereoCalibration:
     """Return the survey rig."""
     return true_calibration(survey_rig())
+
+
+def fisheye_captures(
+    placement_m: float = 0.005, boards: int = 14, *, seed: int = 0, noise_px: float = 0.2
+) -> list[Capture]:
+    """Simulate the marks of boards all over the view of the fisheye rig, 60 degrees off its axis.
+
+    Marks outside of an image are NaN.
+    """
+    rig, rng = fisheye_rig(), np.random.default_rng(seed)
+    captures = []
+    for index in range(boards):
+        angle = np.radians(np.linspace(-50, 50, boards)[(5 * index) % boards])
+        distance = np.geomspace(2.5, 10, boards)[index]
+        middle = distance * np.array([np.sin(angle), 0.0, np.cos(angle)]) + [0.5, 1.0, 0.0]
+        turn = np.array([0.0, angle + rng.uniform(-0.8, 0.8), rng.uniform(-0.1, 0.1)])
+        placed = place_board(board_of(placement_m), turn, middle, rng)
+        sides = []
+        for view in rig.views():
+            px = placed.marks_px(view)
+            px = px + rng.normal(0, noise_px, px.shape)
+            inside = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=-1, keepdims=True)
+            sides.append(np.where(inside, px, np.nan))
+        captures.append(Capture(f'{index:02d}', *sides))
+    return captures
 
 
 @functools.cache

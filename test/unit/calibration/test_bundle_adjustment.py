@@ -42,7 +42,7 @@ from test.calibration_tools import (
     truth,
 )
 
-FREE = free_parameters(DEFAULT_COEFFICIENTS)
+FREE = free_parameters(DEFAULT_COEFFICIENTS['plumb_bob'])
 POSE = np.array([3.1, 0.1, -0.2, -1.0, 0.9, 7.0])
 
 

@@ -168,7 +168,7 @@ def test_too_few_boards_says_how_many_and_why() -> None:
     ) as e:
         calibrate(captures, board_of(0.005), SIZE, rejected=lost)
     assert 'left_99.png cannot be read' in str(e.value)
-    assert '02: 0 of 30 marks found in both pictures' in str(e.value)
+    assert '02: 0 of 30 marks found in both images' in str(e.value)
 
 
 def test_rods_that_are_not_there_are_named() -> None:
@@ -210,7 +210,7 @@ def test_boards_at_one_distance_are_refused() -> None:
         calibrate(captures, board_of(0.005), SIZE)
 
 
-def test_swapped_pictures_are_refused() -> None:
+def test_swapped_images_are_refused() -> None:
     captures = [Capture(c.name, c.right_px, c.left_px) for c in captures_of()]
     with pytest.raises(CalibrationError, match='left and right are swapped'):
         calibrate(captures, board_of(0.005), SIZE)
@@ -230,12 +230,12 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
         elif kind == 'blurred':
             left += rng.normal(0, 1.5, left.shape)
             right += rng.normal(0, 1.5, right.shape)
-        elif kind == 'moved':  # between the two pictures, by 5 cm and a little turn
+        elif kind == 'moved':  # between the two images, by 5 cm and a little turn
             right[:, :, 0] += 6 + 2 * np.arange(5)[:, None]
             right[:, :, 1] += 1.5
         elif kind == 'exchanged rods':
             left[[1, 2]], right[[1, 2]] = left[[2, 1]], right[[2, 1]]
-        elif kind == 'next rods':  # one picture alone does not tell
+        elif kind == 'next rods':  # one image alone does not tell
             right[1:], right[0] = right[:-1].copy(), np.nan
         else:
             left = captures[2].left_px + rng.normal(0, 0.2, left.shape)
@@ -245,7 +245,7 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
     result = calibrate(spoilt(change), board_of(0.005), SIZE)
     assert [board.name for board in result.rejected] == ['04']
     expected = {
-        'swapped': 'its left and right picture are exchanged',
+        'swapped': 'its left and right image are exchanged',
         'next rods': 'do not agree on where the rods stand',
         'blurred': 'blurred',
         'moved': 'the rods were moved in between',
@@ -260,7 +260,7 @@ def test_a_bad_board_is_named_left_out_and_the_rest_used(kind: str) -> None:
 
 
 def test_a_board_with_too_few_good_marks_is_named() -> None:
-    """Six marks, of which three are off in one picture: less than Zhang's method needs."""
+    """Six marks, of which three are off in one image: less than Zhang's method needs."""
 
     def change(captures: list[Capture]) -> None:
         weak = np.zeros((5, 6, 1), np.bool_)
@@ -274,7 +274,7 @@ def test_a_board_with_too_few_good_marks_is_named() -> None:
 
     result = calibrate(spoilt(change), board_of(0.005), SIZE)
     (left_out,) = result.rejected
-    assert left_out.name == 'weak' and 'marks of one picture fit' in left_out.reason
+    assert left_out.name == 'weak' and 'marks of one image fit' in left_out.reason
     assert len(result.names) == 10
 
 
@@ -316,14 +316,14 @@ def wrong_board(**changes: object) -> RodBoard:
     return RodBoard.from_mapping({**board_of(0.005).to_mapping(), **changes})
 
 
-def test_rods_that_contradict_the_pictures_are_refused() -> None:
+def test_rods_that_contradict_the_images_are_refused() -> None:
     captures = captures_of()
     for board, message in (
         (
             wrong_board(rods=[{'x': x} for x in (0.0, 0.6, 1.3, 1.8, 2.4)]),
             'rod 3 stands .* mm off its x in most boards .* measure the rods',
         ),
-        (wrong_board(rods=[{'x': 0.5 * i} for i in range(5)]), 'contradicts the pictures'),
+        (wrong_board(rods=[{'x': 0.5 * i} for i in range(5)]), 'contradicts the images'),
         (
             wrong_board(marks=[0.3, 0.6, 0.93, 1.2, 1.5, 1.8]),
             'mark 3 of rod . is not where it is said to be',
