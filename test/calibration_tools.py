@@ -22,7 +22,12 @@ from binocular_recon.evaluation.calibration.self_check import (
     true_calibration,
 )
 from binocular_recon.simulation.rig import fisheye_rig, survey_rig
-from binocular_recon.simulation.rods import paper_board, place_board, with_placement
+from binocular_recon.simulation.rods import (
+    PlacedBoard,
+    paper_board,
+    place_board,
+    with_placement,
+)
 
 DATA = Path(__file__).parent / 'data'
 CHESSBOARD = DATA / 'chessboard_points.csv'
@@ -48,8 +53,39 @@ def truth() -> StereoCalibration:
     return true_calibration(survey_rig())
 
 
+def spoilt(change: Callable[[list[Capture]], None], seed: int = 2) -> list[Capture]:
+    """Return simulated captures after a change."""
+    captures = captures_of(seed=seed)
+    change(captures)
+    return captures
+
+
+def captures_at(turns_rad: list[float], depths_m: list[float], board: RodBoard) -> list[Capture]:
+    """Simulate boards that face the cameras up to a turn about their upright."""
+    rng = np.random.default_rng(0)
+    rig = survey_rig()
+    captures = []
+    for index, (turn, depth) in enumerate(zip(turns_rad, depths_m, strict=True)):
+        middle = np.array([0.1 * depth * (index % 3 - 1), 1.2, depth])
+        placed: PlacedBoard = place_board(board, np.array([0, turn, 0]), middle, rng)
+        pixels = [placed.marks_px(view) for view in rig.views()]
+        noisy = [px + rng.normal(0, 0.2, px.shape) for px in pixels]
+        captures.append(Capture(f'{index}', *noisy))
+    return captures
+
+
+def wrong_board(**changes: object) -> RodBoard:
+    """Return a board that is described otherwise than it stands."""
+    return RodBoard.from_mapping({**board_of(0.005).to_mapping(), **changes})
+
+
 def fisheye_captures(
-    placement_m: float = 0.005, boards: int = 14, *, seed: int = 0, noise_px: float = 0.2
+    placement_m: float = 0.005,
+    boards: int = 14,
+    *,
+    seed: int = 0,
+    noise_px: float = 0.2,
+    board: RodBoard | None = None,
 ) -> list[Capture]:
     """Simulate the marks of boards all over the view of the fisheye rig, 60 degrees off its axis.
 
@@ -62,7 +98,7 @@ def fisheye_captures(
         distance = np.geomspace(2.5, 10, boards)[index]
         middle = distance * np.array([np.sin(angle), 0.0, np.cos(angle)]) + [0.5, 1.0, 0.0]
         turn = np.array([0.0, angle + rng.uniform(-0.8, 0.8), rng.uniform(-0.1, 0.1)])
-        placed = place_board(board_of(placement_m), turn, middle, rng)
+        placed = place_board(board or board_of(placement_m), turn, middle, rng)
         sides = []
         for view in rig.views():
             px = placed.marks_px(view)
