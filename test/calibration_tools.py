@@ -115,6 +115,19 @@ def solved(placement_m: float = 0.005) -> CalibrationResult:
     return calibrate(captures_of(placement_m), board_of(placement_m), SIZE)
 
 
+def check_sigmas(result: CalibrationResult, true: StereoCalibration) -> None:
+    """Assert that parameters are as close to the truth as their stated sigmas say."""
+    for name, value, wanted in (
+        ('fx_left_px', result.calibration.K_left[0, 0], true.K_left[0, 0]),
+        ('fy_right_px', result.calibration.K_right[1, 1], true.K_right[1, 1]),
+        ('cx_left_px', result.calibration.K_left[0, 2], true.K_left[0, 2]),
+        ('k1_right', result.calibration.D_right[0], true.D_right[0]),
+        ('T_z_m', result.calibration.T[2], true.T[2]),
+        ('baseline_m', result.calibration.baseline_m, true.baseline_m),
+    ):
+        assert abs(value - wanted) < 3.5 * result.sigma[name], name
+
+
 def numeric_jacobian(
     function: Callable[[FloatArray], FloatArray], at: FloatArray, step: float = 1e-6
 ) -> FloatArray:

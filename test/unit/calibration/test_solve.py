@@ -33,6 +33,7 @@ from test.calibration_tools import (
     SIZE,
     board_of,
     captures_of,
+    check_sigmas,
     solved,
     truth,
 )
@@ -73,16 +74,7 @@ def test_result_states_the_three_methods_and_their_errors() -> None:
 
 
 def test_stated_sigmas_cover_the_true_rig() -> None:
-    result, rig = solved(0.005), truth()
-    for name, value, true in (
-        ('fx_left_px', result.calibration.K_left[0, 0], rig.K_left[0, 0]),
-        ('fy_right_px', result.calibration.K_right[1, 1], rig.K_right[1, 1]),
-        ('cx_left_px', result.calibration.K_left[0, 2], rig.K_left[0, 2]),
-        ('k1_right', result.calibration.D_right[0], rig.D_right[0]),
-        ('T_z_m', result.calibration.T[2], rig.T[2]),
-        ('baseline_m', result.calibration.baseline_m, rig.baseline_m),
-    ):
-        assert abs(value - true) < 3.5 * result.sigma[name], name
+    check_sigmas(solved(0.005), truth())
 
 
 def test_depth_sigma_has_the_share_of_the_disparity_noise() -> None:
