@@ -31,6 +31,15 @@ def ordered_kernel(function: F) -> F:
     return _compile(function, FASTMATH - {'reassoc'})
 
 
+def exact_kernel(function: F) -> F:
+    """Compile like `kernel`, but every operation as written.
+
+    Loops that are compiled twice, for whole vectors and for what remains, then round alike: the
+    same input gives the same bits wherever it stands in the image.
+    """
+    return _compile(function, set())
+
+
 def inline_kernel(function: F) -> F:
     """Compile like `kernel`, always inlined into the calling kernels: for small inner steps."""
     return _compile(function, FASTMATH, forceinline=True)
@@ -40,7 +49,7 @@ def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F
     decorate = numba.njit(
         nogil=True,
         cache=True,
-        fastmath=fastmath,
+        fastmath=fastmath or False,
         error_model='numpy',
         boundscheck=False,
         forceinline=forceinline,

@@ -14,15 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.lens import Lens
+from binocular_recon.lenses.registry import LENSES
 
 FloatArray = npt.NDArray[np.float64]
-
-# Accepted numbers of coefficients (an empty D of the first two models means no distortion).
-DISTORTION_COEFFICIENTS = {
-    'plumb_bob': (0, 4, 5),
-    'rational_polynomial': (0, 8, 12, 14),
-    'equidistant': (4,),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +37,8 @@ class Camera:
     P : (3, 4) float64
         Projection of rectified points to rectified pixels.
     distortion_model : str
-        ``plumb_bob``, ``rational_polynomial`` or ``equidistant``. Simulators leave it empty: with
-        ``D`` empty or zero that becomes ``plumb_bob`` without distortion.
+        A key of `LENSES`: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``. Simulators
+        leave it empty: with ``D`` empty or zero that becomes ``plumb_bob`` without distortion.
 
     Raises
     ------
@@ -84,16 +79,14 @@ class Camera:
         if not self.distortion_model and not self.D.any():
             object.__setattr__(self, 'distortion_model', 'plumb_bob')
             object.__setattr__(self, 'D', np.zeros(5))
-        counts = DISTORTION_COEFFICIENTS.get(self.distortion_model)
-        if counts is None:
+        if self.distortion_model not in LENSES:
             raise CalibrationError(
-                f'distortion model {self.distortion_model!r} is not one of'
-                f' {", ".join(DISTORTION_COEFFICIENTS)}'
+                f'distortion model {self.distortion_model!r} is not one of {", ".join(LENSES)}'
             )
-        if self.D.size not in counts:
+        if self.D.size not in self.lens.counts:
             raise CalibrationError(
-                f'{self.distortion_model} takes {" or ".join(map(str, counts))} distortion'
-                f' coefficients, got {self.D.size}'
+                f'{self.distortion_model} takes {" or ".join(map(str, self.lens.counts))}'
+                f' distortion coefficients, got {self.D.size}'
             )
         if self.width <= 0 or self.height <= 0:
             raise CalibrationError(f'image size must be positive, got {self.width}x{self.height}')
@@ -102,6 +95,11 @@ class Camera:
     def size(self) -> tuple[int, int]:
         """Width and height, px."""
         return self.width, self.height
+
+    @property
+    def lens(self) -> Lens:
+        """Lens model that ``D`` belongs to."""
+        return LENSES[self.distortion_model]
 
 
 @dataclass(frozen=True, eq=False)

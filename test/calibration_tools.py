@@ -21,8 +21,13 @@ from binocular_recon.evaluation.calibration.self_check import (
     simulated_captures,
     true_calibration,
 )
-from binocular_recon.simulation.rig import survey_rig
-from binocular_recon.simulation.rods import paper_board, with_placement
+from binocular_recon.simulation.rig import fisheye_rig, survey_rig
+from binocular_recon.simulation.rods import (
+    PlacedBoard,
+    paper_board,
+    place_board,
+    with_placement,
+)
 
 DATA = Path(__file__).parent / 'data'
 CHESSBOARD = DATA / 'chessboard_points.csv'
@@ -48,10 +53,79 @@ def truth() -> StereoCalibration:
     return true_calibration(survey_rig())
 
 
+def spoilt(change: Callable[[list[Capture]], None], seed: int = 2) -> list[Capture]:
+    """Return simulated captures after a change."""
+    captures = captures_of(seed=seed)
+    change(captures)
+    return captures
+
+
+def captures_at(turns_rad: list[float], depths_m: list[float], board: RodBoard) -> list[Capture]:
+    """Simulate boards that face the cameras up to a turn about their upright."""
+    rng = np.random.default_rng(0)
+    rig = survey_rig()
+    captures = []
+    for index, (turn, depth) in enumerate(zip(turns_rad, depths_m, strict=True)):
+        middle = np.array([0.1 * depth * (index % 3 - 1), 1.2, depth])
+        placed: PlacedBoard = place_board(board, np.array([0, turn, 0]), middle, rng)
+        pixels = [placed.marks_px(view) for view in rig.views()]
+        noisy = [px + rng.normal(0, 0.2, px.shape) for px in pixels]
+        captures.append(Capture(f'{index}', *noisy))
+    return captures
+
+
+def wrong_board(**changes: object) -> RodBoard:
+    """Return a board that is described otherwise than it stands."""
+    return RodBoard.from_mapping({**board_of(0.005).to_mapping(), **changes})
+
+
+def fisheye_captures(
+    placement_m: float = 0.005,
+    boards: int = 14,
+    *,
+    seed: int = 0,
+    noise_px: float = 0.2,
+    board: RodBoard | None = None,
+) -> list[Capture]:
+    """Simulate the marks of boards all over the view of the fisheye rig, 60 degrees off its axis.
+
+    Marks outside of an image are NaN.
+    """
+    rig, rng = fisheye_rig(), np.random.default_rng(seed)
+    captures = []
+    for index in range(boards):
+        angle = np.radians(np.linspace(-50, 50, boards)[(5 * index) % boards])
+        distance = np.geomspace(2.5, 10, boards)[index]
+        middle = distance * np.array([np.sin(angle), 0.0, np.cos(angle)]) + [0.5, 1.0, 0.0]
+        turn = np.array([0.0, angle + rng.uniform(-0.8, 0.8), rng.uniform(-0.1, 0.1)])
+        placed = place_board(board or board_of(placement_m), turn, middle, rng)
+        sides = []
+        for view in rig.views():
+            px = placed.marks_px(view)
+            px = px + rng.normal(0, noise_px, px.shape)
+            inside = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=-1, keepdims=True)
+            sides.append(np.where(inside, px, np.nan))
+        captures.append(Capture(f'{index:02d}', *sides))
+    return captures
+
+
 @functools.cache
 def solved(placement_m: float = 0.005) -> CalibrationResult:
     """Return a calibration of eleven boards; computed once for all tests."""
     return calibrate(captures_of(placement_m), board_of(placement_m), SIZE)
+
+
+def check_sigmas(result: CalibrationResult, true: StereoCalibration) -> None:
+    """Assert that parameters are as close to the truth as their stated sigmas say."""
+    for name, value, wanted in (
+        ('fx_left_px', result.calibration.K_left[0, 0], true.K_left[0, 0]),
+        ('fy_right_px', result.calibration.K_right[1, 1], true.K_right[1, 1]),
+        ('cx_left_px', result.calibration.K_left[0, 2], true.K_left[0, 2]),
+        ('k1_right', result.calibration.D_right[0], true.D_right[0]),
+        ('T_z_m', result.calibration.T[2], true.T[2]),
+        ('baseline_m', result.calibration.baseline_m, true.baseline_m),
+    ):
+        assert abs(value - wanted) < 3.5 * result.sigma[name], name
 
 
 def numeric_jacobian(

@@ -18,10 +18,10 @@ import pytest
 import yaml
 
 import binocular_recon
-from binocular_recon.camera import DISTORTION_COEFFICIENTS
 from binocular_recon.cli.main import COMMANDS
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.io.messages.images import ENCODINGS
+from binocular_recon.lenses import LENSES
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 from test.conftest import REPOSITORY
 
@@ -82,7 +82,7 @@ def test_the_limits_are_those_of_the_code() -> None:
     rows: dict[str, str] = dict(table(page('limits.md'), 'limit'))
     assert f'{LARGEST_SIDE_PX} px a side' in rows['images']
     assert f'{LARGEST_SIDE_PX} px a side' in page('README.md')
-    assert rows['lenses'].split(', ') == list(DISTORTION_COEFFICIENTS)
+    assert rows['lenses'].split(', ') == list(LENSES)
     stated = re.sub(r'\(.*?\)', '', rows['encodings'].partition(';')[0])
     assert {name.strip() for name in stated.split(',')} == set(ENCODINGS)
     limits = {spec.name: spec.metadata for spec in dataclasses.fields(MatchConfig)}

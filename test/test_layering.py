@@ -18,7 +18,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # and from those before it. A room holds its subfolders unless these are listed themselves; the
 # modules of a folder may stand in several rooms, some below its subfolders and some above.
 ROOMS = [
-    {'errors', 'options', '_lazy', '_kernel_cache'},
+    {'errors', 'options', '_lazy', '_kernel_cache', 'lenses'},
     {'config', 'camera', '_jit', '_simd', 'machine'},
     {'images', 'pairing'},
     {'stereo.rectification', 'stereo.confidence', 'stereo.validity', 'stereo._validity_kernels'},
@@ -191,7 +191,7 @@ def test_every_room_says_what_it_is_for() -> None:
 
 def test_kernels_are_where_their_cache_looks_for_them() -> None:
     """The stamp of compiled kernels covers the modules ``_*_kernels``, so all are there."""
-    decorators = {'kernel', 'ordered_kernel', 'inline_kernel'}
+    decorators = {'kernel', 'exact_kernel', 'ordered_kernel', 'inline_kernel'}
     for path in MODULES:
         tree = ast.parse(path.read_text())
         used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}

@@ -3,7 +3,7 @@
 
 `solve` is the calibration on one page. It takes marks (`target`), found in images by
 `detection`, through `adjustment` (planar calibration, bundle adjustment, uncertainty) and
-`rectification` (polar-line correction). `model` is what is estimated and `result` what comes
+`rectification` (epipolar correction). `model` is what is estimated and `result` what comes
 out; `screening` decides which boards can be used, `verdict` whether the result may be relied on,
 and `advice` which board to add. `report` shows a result and `session` keeps captures and results
 on disk. Exports what a program needs to calibrate.

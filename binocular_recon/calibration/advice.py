@@ -19,13 +19,13 @@ from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives
 from binocular_recon.calibration.model import rotation
 from binocular_recon.camera import FloatArray
 
-# Boards tried out: distances, columns and rows of their middle in the picture, turns.
+# Boards tried out: distances, columns and rows of their middle in the image, turns.
 _DISTANCES = 6
 _COLUMNS = (-0.6, -0.3, 0.0, 0.3, 0.6)
 _ROWS = (-0.4, 0.0, 0.4)
 _TURNS_DEG = (-50.0, -25.0, 0.0, 25.0, 50.0)
 _PITCHES_DEG = (-30.0, 0.0, 30.0)
-# Marks this close to the frame, as a share of the width, are taken as lost; a board needs most.
+# Marks this close to the border, as a share of the width, are taken as lost; a board needs most.
 _MARGIN = 0.02
 _VISIBLE_SHARE = 0.8
 
@@ -39,7 +39,7 @@ class Advice:
     distance_m : float
         Distance of the board's middle along the left camera's axis, m.
     column : float
-        Its place in the left picture, -1 at the left edge to 1 at the right one.
+        Its place in the left image, -1 at the left border to 1 at the right one.
     turn_deg : float
         How far it is turned, degrees; positive = its right end away from the cameras.
     depth_m : float
@@ -72,7 +72,7 @@ class Advice:
             else 'facing the cameras'
         )
         return (
-            f'a board at {self.distance_m:.3g} m, {place} of the picture, {turned}: depth sigma at'
+            f'a board at {self.distance_m:.3g} m, {place} of the image, {turned}: depth sigma at'
             f' {self.depth_m:.3g} m falls from {1e3 * self.sigma_before_m:.3g} to'
             f' {1e3 * self.sigma_after_m:.3g} mm (-{100 * self.gain:.0f} %)'
         )

@@ -10,17 +10,39 @@ import numpy as np
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.lens import Lens
+from binocular_recon.lenses.registry import LENSES
 
-# OpenCV's order of the distortion coefficients.
-COEFFICIENTS = ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6')
-_SIDE = ('fx', 'fy', 'cx', 'cy', *COEFFICIENTS)
-# The parameters in the order of `StereoCalibration.moved` and of covariance matrices. Rotations
-# are small turns about the right camera's axes (rad), translations metres.
-PARAMETERS = (
-    *(f'{name}_left' for name in _SIDE),
-    *(f'{name}_right' for name in _SIDE),
-    *('turn_x', 'turn_y', 'turn_z', 'T_x', 'T_y', 'T_z'),
-)
+# Distortion coefficients that are calibrated of each lens, in the order of D. A plumb_bob lens
+# becomes rational_polynomial where the marks call for k4 to k6.
+COEFFICIENTS = {
+    'plumb_bob': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
+    'equidistant': ('k1', 'k2', 'k3', 'k4'),
+}
+DEFAULT_LENS = 'plumb_bob'
+
+
+def parameters_of(lens: str) -> tuple[str, ...]:
+    """Return the parameters in the order of `StereoCalibration.moved` and of covariance matrices.
+
+    Turns are small ones about the right camera's axes (rad), translations metres.
+    """
+    names = ('fx', 'fy', 'cx', 'cy', *COEFFICIENTS[lens])
+    pose = ('turn_x', 'turn_y', 'turn_z', 'T_x', 'T_y', 'T_z')
+    return (*(f'{name}_left' for name in names), *(f'{name}_right' for name in names), *pose)
+
+
+def check_lens(lens: str) -> None:
+    """Raise a CalibrationError unless cameras with this lens can be calibrated."""
+    if lens in COEFFICIENTS:
+        return
+    known = ' or '.join(COEFFICIENTS)
+    if lens in LENSES:
+        raise CalibrationError(
+            f'a {lens} lens cannot be chosen for a calibration; choose {known}'
+            ' (plumb_bob becomes rational_polynomial where the marks call for it)'
+        )
+    raise CalibrationError(f'lens {lens!r} is unknown; choose {known}')
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +55,14 @@ class StereoCalibration:
         Width and height, px.
     K_left, K_right : (3, 3) float64
         Intrinsics, px.
-    D_left, D_right : (8,) float64
-        Distortion, OpenCV's order ``COEFFICIENTS``.
+    D_left, D_right : (n,) float64
+        Distortion, all of the lens' ``COEFFICIENTS``: 8 of plumb_bob, 4 of equidistant.
     R : (3, 3) float64
         Rotation from the left to the right camera.
     T : (3,) float64
         Translation, m.
+    lens : str
+        Lens of both cameras, a key of ``COEFFICIENTS``.
 
     """
 
@@ -49,14 +73,16 @@ class StereoCalibration:
     D_right: FloatArray
     R: FloatArray
     T: FloatArray
+    lens: str = DEFAULT_LENS
 
     def __post_init__(self) -> None:
         """Bring the arrays to shape."""
+        count = len(COEFFICIENTS[self.lens])
         for name, shape in (('K', (3, 3)), ('D', (-1,))):
             for side in ('left', 'right'):
                 values = np.asarray(getattr(self, f'{name}_{side}'), np.float64).reshape(shape)
                 if name == 'D':
-                    values = np.pad(values, (0, len(COEFFICIENTS) - values.size))
+                    values = np.pad(values, (0, count - values.size))
                 object.__setattr__(self, f'{name}_{side}', values)
         object.__setattr__(self, 'R', np.asarray(self.R, np.float64).reshape(3, 3))
         object.__setattr__(self, 'T', np.asarray(self.T, np.float64).reshape(3))
@@ -72,6 +98,16 @@ class StereoCalibration:
         centre: FloatArray = -self.R.T @ self.T
         return centre
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters of `moved`, (p,)."""
+        return parameters_of(self.lens)
+
+    @property
+    def lens_model(self) -> Lens:
+        """Projection of both lenses."""
+        return LENSES[self.lens]
+
     def side(self, name: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return K, D and the pose R, T (from the left camera) of ``'left'`` or ``'right'``."""
         if name == 'left':
@@ -79,8 +115,9 @@ class StereoCalibration:
         return self.K_right, self.D_right, self.R, self.T
 
     def moved(self, step: FloatArray) -> StereoCalibration:
-        """Return the calibration after a step in the parameters of ``PARAMETERS``, (30,)."""
-        left, right, turn, shift = np.split(step, [12, 24, 27])
+        """Return the calibration after a step in all ``parameters``, (p,)."""
+        count = 4 + len(COEFFICIENTS[self.lens])
+        left, right, turn, shift = np.split(step, [count, 2 * count, 2 * count + 3])
         return replace(
             self,
             K_left=self.K_left + _intrinsics_step(left),
@@ -94,47 +131,46 @@ class StereoCalibration:
     def project(self, points_m: FloatArray, side: str) -> FloatArray:
         """Project points of the left camera's frame, (..., 3) m, to (..., 2) px of a raw image."""
         K, D, R, T = self.side(side)
-        turn = cv2.Rodrigues(R)[0]
-        pixels = cv2.projectPoints(
-            np.ascontiguousarray(points_m, np.float64).reshape(-1, 1, 3), turn, T[:, None], K, D
-        )[0]
-        return np.asarray(pixels, np.float64).reshape(*points_m.shape[:-1], 2)
+        local = points_m @ R.T + T
+        return self.lens_model.pixels(local[..., :2] / local[..., 2:], K, D)
 
     def undistort(self, pixels: FloatArray, side: str) -> FloatArray:
-        """Return (..., 2) px of a raw image as px of the same camera without distortion."""
+        """Return (..., 2) px of a raw image as px of a pinhole camera with the same K.
+
+        NaN where the lens model does not invert.
+        """
         K, D, _, _ = self.side(side)
-        return undistort(pixels, K, D, K)
+        return np.diag(K)[:2] * self.lens_model.rays(pixels, K, D) + K[:2, 2]
 
     def distort(self, pixels: FloatArray, side: str) -> FloatArray:
-        """Return (..., 2) px of the camera without distortion as px of its raw image."""
-        K = self.side(side)[0]
-        rays = np.ones((*pixels.shape[:-1], 3))
-        rays[..., :2] = (pixels - K[:2, 2]) / np.diag(K)[:2]
-        R, T = self.side(side)[2:]
-        return self.project((rays - T) @ R, side)
+        """Return (..., 2) px of a pinhole camera with the same K as px of the raw image."""
+        K, D, _, _ = self.side(side)
+        return self.lens_model.pixels((pixels - K[:2, 2]) / np.diag(K)[:2], K, D)
+
+    def stated_lens(self, side: str) -> tuple[str, FloatArray]:
+        """Return the ``distortion_model`` of a camera and its D, as camera files state them."""
+        D = self.side(side)[1]
+        if self.lens != 'plumb_bob':
+            return self.lens, D
+        return ('rational_polynomial', D) if D[5:].any() else ('plumb_bob', D[:5])
 
     def triangulate(self, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
-        """Return the points seen at (..., 2) px of both raw images, (..., 3) m, left frame."""
-        rays = []
-        for side, pixels in (('left', left_px), ('right', right_px)):
-            K, D, _, _ = self.side(side)
-            rays.append(undistort(pixels, K, D, np.eye(3)).reshape(-1, 2))
-        points = cv2.triangulatePoints(
-            np.eye(3, 4), np.column_stack([self.R, self.T]), rays[0].T, rays[1].T
-        )
-        return np.asarray((points[:3] / points[3]).T, np.float64).reshape(*left_px.shape[:-1], 3)
+        """Return the points seen at (..., 2) px of both raw images, (..., 3) m, left frame.
 
-
-def undistort(pixels: FloatArray, K: FloatArray, D: FloatArray, P: FloatArray) -> FloatArray:
-    """Return (..., 2) px of a camera (K, D) as px of the distortion-free camera P; NaN stays."""
-    # the default five iterations leave up to 0.1 px in the corners of a wide lens
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-    flat = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
-    if hasattr(cv2, 'undistortPointsIter'):  # OpenCV 4; OpenCV 5 takes the criteria directly
-        straight = cv2.undistortPointsIter(flat, K, D, np.eye(3), P, criteria)
-    else:
-        straight = cv2.undistortPoints(flat, K, D, R=np.eye(3), P=P, criteria=criteria)
-    return np.asarray(straight, np.float64).reshape(pixels.shape)
+        NaN where the lens model does not invert.
+        """
+        rays = [
+            self.lens_model.rays(pixels, *self.side(side)[:2]).reshape(-1, 2)
+            for side, pixels in (('left', left_px), ('right', right_px))
+        ]
+        seen = np.all(np.isfinite(rays), axis=(0, 2)).ravel()
+        points = np.full((len(seen), 3), np.nan)
+        if seen.any():
+            found = cv2.triangulatePoints(
+                np.eye(3, 4), np.column_stack([self.R, self.T]), *(r[seen].T for r in rays)
+            )
+            points[seen] = (found[:3] / found[3]).T
+        return points.reshape(*left_px.shape[:-1], 3)
 
 
 def rotation(turn: FloatArray) -> FloatArray:
@@ -164,7 +200,7 @@ def check_finite(calibration: StereoCalibration) -> None:
     if not all(np.isfinite(value).all() for value in values) or min(focal) <= 0:
         raise CalibrationError(
             'no calibration fits the marks (the solution diverged); check that rods.yaml states'
-            ' the rods in the pictures, and capture boards at more distances and angles'
+            ' the rods in the images, and capture boards at more distances and angles'
         )
 
 

@@ -19,7 +19,7 @@ from binocular_recon.calibration.adjustment.uncertainty import (
     matching_sigma_m,
 )
 from binocular_recon.calibration.advice import Advice
-from binocular_recon.calibration.model import PARAMETERS, StereoCalibration
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.camera import FloatArray, StereoRig
@@ -38,14 +38,14 @@ class Stage:
     Attributes
     ----------
     calibration : StereoCalibration
-        Both cameras; those of the corrected pictures in the stage ``corrected``.
+        Both cameras; those of the corrected images in the stage ``corrected``.
     residuals_px : (B, R, M, 4) float64
-        Observed - predicted in the original pictures (left u, v, right u, v); NaN = not used.
+        Observed - predicted in the original images (left u, v, right u, v); NaN = not used.
     marks_m : (B, R, M, 3) float64
-        Marks reconstructed from both pictures in this calibration's left camera; NaN = not seen
+        Marks reconstructed from both images in this calibration's left camera; NaN = not seen
         by both.
     row_difference_px : (B, R, M) float64
-        Row in the left minus row in the right picture, of the original pictures (planar) or the
+        Row in the left minus row in the right image, of the original images (planar) or the
         rectified ones (corrected, adjusted); NaN = not seen by both.
 
     """
@@ -82,7 +82,7 @@ class CalibrationResult:
     rig : StereoRig
         The adjusted calibration with the R and P that rectify it.
     planar, corrected, adjusted : Stage
-        Zhang's method; the same after polar-line correction; the joint adjustment.
+        Zhang's method; the same after epipolar correction; the joint adjustment.
     estimate : Estimate
         Adjusted parameters, their covariance, the noise found.
     evidence : tuple of Evidence
@@ -140,7 +140,7 @@ class CalibrationResult:
         """One standard deviation of the baseline (m) and of each free parameter."""
         free = self.estimate.problem.free
         sigmas = np.sqrt(np.diag(self.estimate.covariance))
-        names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
+        names = np.array(self.calibration.parameters)[free].tolist()
         found = {'baseline_m': baseline_sigma_m(self.calibration, free, self.estimate.covariance)}
         for name, sigma in zip(names, sigmas, strict=True):
             unit = _UNITS[name[0]]
@@ -162,7 +162,7 @@ class CalibrationResult:
         Returns
         -------
         float
-            Root mean square over the middle half of the pictures; NaN where they do not overlap.
+            Root mean square over the middle half of the images; NaN where they do not overlap.
 
         """
         points = field_of_view(self.calibration, depth_m)
@@ -219,7 +219,7 @@ class CalibrationResult:
         }
 
     def _boards(self) -> list[dict[str, Any]]:
-        # in both pictures, as a crew counts them
+        # in both images, as a crew counts them
         counts = np.isfinite(self.adjusted.residuals_px).all(axis=-1).sum(axis=(1, 2))
         return [
             {
@@ -240,5 +240,7 @@ def row_statistics(row_difference_px: FloatArray) -> dict[str, float]:
 
 
 def _camera(calibration: StereoCalibration, side: str) -> dict[str, Any]:
-    K, D, _, _ = calibration.side(side)
-    return {'K': K.tolist(), 'D': (D if D[5:].any() else D[:5]).tolist()}
+    return {
+        'K': calibration.side(side)[0].tolist(),
+        'D': calibration.stated_lens(side)[1].tolist(),
+    }

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.adjustment.fisheye_start import fisheye_guess, pinhole_pixels
 from binocular_recon.calibration.adjustment.planar import MIN_MARKS, first_guess
+from binocular_recon.calibration.model import DEFAULT_LENS
 from binocular_recon.calibration.target.board_plane import fit_camera, project
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import row_of
@@ -21,7 +23,7 @@ from binocular_recon.errors import CalibrationError
 MIN_BOARDS = 3
 # What the paper used; fewer are accepted with a warning.
 RECOMMENDED_BOARDS = 11
-# Largest misfit of a board: this many px plus this share of its size in the picture, which
+# Largest misfit of a board: this many px plus this share of its size in the image, which
 # leaves room for lens distortion and for rods that stand a few centimetres off.
 FLATNESS_PX, FLATNESS_SHARE = 4.0, 0.04
 # Boards whose marks all lie this close (median, px) to those of another one show the same scene.
@@ -44,6 +46,7 @@ def usable_boards(
     target: Target,
     image_size: tuple[int, int],
     rejected: Sequence[Rejected] = (),
+    lens: str = DEFAULT_LENS,
 ) -> tuple[list[Capture], list[Rejected]]:
     """Separate boards that can be used from those that cannot.
 
@@ -57,6 +60,8 @@ def usable_boards(
         Width and height, px.
     rejected : sequence of Rejected
         Boards that were lost before, such as unreadable files.
+    lens : str
+        Lens of both cameras, a key of `model.COEFFICIENTS`.
 
     Returns
     -------
@@ -67,7 +72,7 @@ def usable_boards(
     Raises
     ------
     CalibrationError
-        If too few boards are usable, or the target's description contradicts most pictures.
+        If too few boards are usable, or the target's description contradicts most images.
 
     """
     usable: list[Capture] = []
@@ -76,7 +81,7 @@ def usable_boards(
     for capture in captures:
         _check_shape(capture, target)
         reason = _too_few_marks(capture, target)
-        if reason is None and (reason := _misfit(capture, target, image_size)):
+        if reason is None and (reason := _misfit(capture, target, image_size, lens)):
             misfits.append(Rejected(capture.name, reason))
         reason = reason or _repetition(capture, usable)
         if reason is None:
@@ -94,13 +99,17 @@ def usable_boards(
     return usable, lost
 
 
-def complaint(
-    capture: Capture, target: Target, image_size: tuple[int, int], others: Sequence[Capture]
+def rejection_reason(
+    capture: Capture,
+    target: Target,
+    image_size: tuple[int, int],
+    others: Sequence[Capture],
+    lens: str = DEFAULT_LENS,
 ) -> str | None:
-    """Say why a board cannot be used beside others, None if it can; see `usable_boards`."""
+    """Return why a board cannot be used with the others, None if it can; see `usable_boards`."""
     return (
         _too_few_marks(capture, target)
-        or _misfit(capture, target, image_size)
+        or _misfit(capture, target, image_size, lens)
         or _repetition(capture, others)
     )
 
@@ -127,7 +136,12 @@ def check_count(usable: int, rejected: Sequence[Rejected]) -> None:
     )
 
 
-def check_spread(captures: Sequence[Capture], target: Target, image_size: tuple[int, int]) -> None:
+def check_spread(
+    captures: Sequence[Capture],
+    target: Target,
+    image_size: tuple[int, int],
+    lens: str = DEFAULT_LENS,
+) -> None:
     """Raise a CalibrationError if the boards are parallel or all at one distance.
 
     Parallel boards leave the focal length open whatever their number: every plane with the same
@@ -136,10 +150,16 @@ def check_spread(captures: Sequence[Capture], target: Target, image_size: tuple[
     """
     points = target.nominal_m.reshape(-1, 3)
     pixels = np.stack([capture.left_px.reshape(-1, 2) for capture in captures])
-    K = first_guess(points, pixels, image_size)
+    if lens == 'equidistant':
+        K = fisheye_guess(points, pixels, image_size)[0]
+        pixels = pinhole_pixels(pixels, K)
+    else:
+        K = first_guess(points, pixels, image_size)
     normals, centres = [], []
     for board in pixels:
         seen = np.isfinite(board).all(axis=-1)
+        if seen.sum() < MIN_MARKS:
+            continue
         # a wrong K turns all parallel planes alike and scales all distances alike
         _, turn, shift = cv2.solvePnP(points[seen], board[seen], K, None)
         R = cv2.Rodrigues(turn)[0]
@@ -174,7 +194,7 @@ def _check_shape(capture: Capture, target: Target) -> None:
 
 
 def _check_rods(captures: Sequence[Capture], target: Target) -> None:
-    """Raise a CalibrationError if rods are described that no picture shows."""
+    """Raise a CalibrationError if rods are described that no image shows."""
     if not target.has_rods:
         return
     seen = np.any(np.isfinite(observations(captures)), axis=(0, 2, 3))
@@ -193,17 +213,19 @@ def _too_few_marks(capture: Capture, target: Target) -> str | None:
     if both.sum() < MIN_MARKS:
         left, right = (int(seen.sum()) for seen in found)
         return (
-            f'{both.sum()} of {total} marks found in both pictures (left {left}, right {right}),'
+            f'{both.sum()} of {total} marks found in both images (left {left}, right {right}),'
             f' at least {MIN_MARKS} are needed'
         )
     points = target.nominal_m[both][:, :2]
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < 0.02 * spread[0]:
-        return 'the marks found in both pictures lie on one line; at least two rods are needed'
+        return 'the marks found in both images lie on one line; at least two rods are needed'
     return None
 
 
-def _misfit(capture: Capture, target: Target, image_size: tuple[int, int]) -> str | None:
+def _misfit(
+    capture: Capture, target: Target, image_size: tuple[int, int], lens: str
+) -> str | None:
     """Say by how much the marks miss any board as described, None if they fit."""
     points = target.nominal_m.reshape(-1, 3)
     points[:, [0, 2]] = row_of(points[:, [0, 2]])
@@ -212,19 +234,33 @@ def _misfit(capture: Capture, target: Target, image_size: tuple[int, int]) -> st
         seen = np.isfinite(pixels).all(axis=-1)
         if (pixels[seen] < -0.5).any() or (pixels[seen] > np.array(image_size) - 0.5).any():
             width, height = image_size
-            return f'marks of the {side} picture lie outside its {width}x{height} px'
-        camera = fit_camera(points[seen], pixels[seen], image_size)
-        if camera is None:
-            return f'the marks of the {side} picture do not form a board'
-        errors = np.linalg.norm(pixels[seen] - project(camera, points[seen]), axis=1)
-        error = float(np.sqrt(np.mean(errors**2)))
+            return f'marks of the {side} image lie outside its {width}x{height} px'
+        error = _board_error_px(points[seen], pixels[seen], image_size, lens)
+        if error is None:
+            return f'the marks of the {side} image do not form a board'
         size = float(np.linalg.norm(np.ptp(pixels[seen], axis=0)))
         if error > FLATNESS_PX + FLATNESS_SHARE * size:
             return (
-                f'the marks of the {side} picture miss a board as described by {error:.0f} px; a'
+                f'the marks of the {side} image miss a board as described by {error:.0f} px; a'
                 ' rod or a mark was taken for another one, or stands elsewhere'
             )
     return None
+
+
+def _board_error_px(
+    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: str
+) -> float | None:
+    """Return by how much marks (N, 2) px miss the board that fits best, None if none fits."""
+    if lens == 'equidistant':
+        try:
+            return float(fisheye_guess(points, pixels[None], image_size)[1][0])
+        except CalibrationError:
+            return None
+    camera = fit_camera(points, pixels, image_size)
+    if camera is None:
+        return None
+    errors = np.linalg.norm(pixels - project(camera, points), axis=1)
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _repetition(capture: Capture, others: Sequence[Capture]) -> str | None:

@@ -10,23 +10,23 @@ import numpy as np
 
 from binocular_recon.calibration.adjustment.bundle_adjustment import Problem, free_parameters
 from binocular_recon.calibration.adjustment.distortion import (
-    DEFAULT_MODEL,
     MODELS,
     Evidence,
     choose_model,
     compare_models,
+    default_model,
 )
 from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
 from binocular_recon.calibration.adjustment.linearisation import State, predict
 from binocular_recon.calibration.adjustment.planar import calibrate_planar
 from binocular_recon.calibration.advice import advise
-from binocular_recon.calibration.model import StereoCalibration
+from binocular_recon.calibration.model import DEFAULT_LENS, StereoCalibration, check_lens
+from binocular_recon.calibration.rectification.epipolar import free_pair
 from binocular_recon.calibration.rectification.metric_rectification import (
     check_order,
     correction_of,
     metric_rig,
 )
-from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks, recalibrate
 from binocular_recon.calibration.result import CalibrationResult, Stage
 from binocular_recon.calibration.screening import (
@@ -54,6 +54,7 @@ def calibrate(
     target: RodBoard | Target,
     image_size: tuple[int, int],
     *,
+    lens: str = DEFAULT_LENS,
     rejected: Sequence[Rejected] = (),
     progress: Progress | None = None,
 ) -> CalibrationResult:
@@ -66,11 +67,14 @@ def calibrate(
     target : RodBoard or Target
         Rods as in ``rods.yaml``, or exactly known points.
     image_size : (int, int)
-        Width and height of every picture, px.
+        Width and height of every image, px.
+    lens : str
+        Lens of both cameras: ``plumb_bob`` (which takes rational terms where the marks call for
+        them) or ``equidistant`` (fisheye).
     rejected : sequence of Rejected
         Boards that were lost before, such as unreadable files; they are passed on.
     progress : callable
-        Told each step in words.
+        Called with a description of each step.
 
     Returns
     -------
@@ -80,29 +84,30 @@ def calibrate(
     ------
     CalibrationError
         If the boards are too few, all parallel or at one distance, contradict the description of
-        the rods, or left and right are swapped; the message says what to do.
+        the rods, left and right are swapped, or the lens cannot be calibrated; the message says
+        what to do.
 
     """
+    check_lens(lens)
     if isinstance(target, RodBoard):
         target = Target.from_rods(target)
-    usable, lost = usable_boards(captures, target, image_size, rejected)
-    check_spread(usable, target, image_size)
+    usable, lost = usable_boards(captures, target, image_size, rejected, lens)
+    check_spread(usable, target, image_size, lens)
     observed = observations(usable)
 
-    say = progress or _silent
-    say('planar calibration (Zhang)')
-    planar = calibrate_planar(observed, target, image_size)
+    report = progress or _silent
+    report('planar calibration (Zhang)')
+    planar = calibrate_planar(observed, target, image_size, lens)
 
-    say('joint adjustment of cameras and rods')
-    problem = Problem(
-        target, observed, free_parameters(MODELS[DEFAULT_MODEL]), np.full(2, FIRST_SIGMA_PX)
-    )
+    report('joint adjustment of cameras and rods')
+    free = free_parameters(MODELS[lens][default_model(lens)], lens)
+    problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
     adjusted, evidence, model = _adjust(problem, planar)
     lost += [Rejected(usable[i].name, reason) for i, reason in adjusted.bad_boards.items()]
     check_count(len(adjusted.boards), lost)
     check_order(adjusted.state.calibration)
 
-    say('polar-line correction and recalibration')
+    report('epipolar correction and recalibration')
     used = adjusted.problem.observed_px
     planar, notes = _planar(adjusted, planar)
     rig = metric_rig(adjusted.state.calibration)
@@ -127,12 +132,14 @@ def calibrate(
 
 
 def _planar(adjusted: Estimate, first: State) -> tuple[State, tuple[str, ...]]:
-    """Return the planar calibration of the marks that were used; what is odd, in words."""
+    """Return the planar calibration of the marks that were used, and notes on it."""
     if not adjusted.bad_boards and not adjusted.outliers.any():
         return first, ()
-    problem = adjusted.problem
+    problem, calibration = adjusted.problem, first.calibration
     try:
-        again = calibrate_planar(problem.observed_px, problem.target, first.calibration.image_size)
+        again = calibrate_planar(
+            problem.observed_px, problem.target, calibration.image_size, calibration.lens
+        )
     except CalibrationError as error:
         note = f'the planar calibration is that of all marks, outliers too: {error}'
         return first.select(np.array(adjusted.boards)), (note,)
@@ -142,7 +149,7 @@ def _planar(adjusted: Estimate, first: State) -> tuple[State, tuple[str, ...]]:
 def _corrected(
     used: FloatArray, target: Target, planar: State, adjusted: Stage
 ) -> tuple[Stage, tuple[str, ...]]:
-    """Calibrate again after correction with the planar calibration; what is odd, in words."""
+    """Calibrate again after correction with the planar calibration; return notes on it too."""
     notes: tuple[str, ...] = ()
     # few boards of carelessly placed rods: the adjustment still works, Zhang's method does not
     for start in (planar.calibration, adjusted.calibration):
@@ -150,7 +157,7 @@ def _corrected(
             again, pair = recalibrate(used, target, start), free_pair(start)
             break
         except CalibrationError as error:
-            odd = 'polar-line correction {}: ' + str(error)
+            odd = 'epipolar correction {}: ' + str(error)
             notes = (odd.format('started from the adjusted calibration'),)
     else:
         return adjusted, (odd.format('was not possible, its column repeats the adjustment'),)
@@ -177,17 +184,18 @@ def _silent(_step: str) -> None:
 
 def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, ...], str]:
     """Adjust with the default distortion model, and again if the marks call for another."""
+    lens = start.calibration.lens
     found = estimate(problem, start)
     check_result(found)
     evidence = compare_models(found.problem, found.state)
-    model = choose_model(evidence)
-    if model != DEFAULT_MODEL:
+    model = choose_model(evidence, lens)
+    if model != default_model(lens):
         boards = np.array(found.boards)
         again = estimate(
             replace(
                 found.problem,
                 observed_px=problem.observed_px[boards],
-                free=free_parameters(MODELS[model]),
+                free=free_parameters(MODELS[lens][model], lens),
             ),
             found.state,
         )

@@ -67,7 +67,7 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
         if unusable > 0:
             warnings.append(
                 f'lens distortion of the {side} camera is not known in {unusable:.0%} of its'
-                ' picture, where no marks were seen; capture boards near its corners'
+                ' image, where no marks were seen; capture boards near its corners'
             )
     noise = float(problem.sigma_px.max())
     if noise > NOISE_WARNING_PX:
@@ -75,7 +75,7 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
         cause = (
             'rods.yaml states exactly placed rods: state a placement_sigma'
             if exact
-            else 'pictures may be blurred, or marks not where they are said to be'
+            else 'images may be blurred, or marks not where they are said to be'
         )
         warnings.append(f'marks scatter by {noise:.2f} px, 0.1 to 0.3 px is usual; {cause}')
     return tuple(warnings)
@@ -106,7 +106,7 @@ def _check_noise(found: Estimate) -> None:
         raise CalibrationError(
             f'the marks of {len(found.boards)} boards miss the best calibration by {noise:.1f} px'
             f' (limit {NOISE_LIMIT_PX:g} px): check the heights of the marks, the positions of the'
-            ' rods and that both pictures of a board were taken at the same time'
+            ' rods and that both images of a board were taken at the same time'
         )
 
 
@@ -122,7 +122,7 @@ def _check_placement(found: Estimate) -> None:
         rod = int(np.argmax(excess))
         if excess[rod] > spacing and typical[rod] > 3 * target.sigmas[axis]:
             raise CalibrationError(
-                f'rods.yaml contradicts the pictures: rod {rod + 1} stands'
+                f'rods.yaml contradicts the images: rod {rod + 1} stands'
                 f' {1e3 * typical[rod]:.0f} mm off its {name} in most boards (median'
                 f' {1e3 * common[rod]:+.0f} mm, stated sigma'
                 f' {1e3 * target.sigmas[axis]:.3g} mm); measure the rods and correct their'

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from binocular_recon.apps.progress import ProgressBar
+from binocular_recon.calibration.model import COEFFICIENTS, DEFAULT_LENS
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.session.calibration_files import save_calibration
@@ -56,6 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--image-size', metavar='WxH', help='size of the images that --points were found in'
     )
     parser.add_argument(
+        '--lens', default=DEFAULT_LENS, choices=tuple(COEFFICIENTS),
+        help='lens of both cameras; equidistant is a fisheye lens (%(default)s)',
+    )  # fmt: skip
+    parser.add_argument(
         '--self-check', action='store_true',
         help='instead of calibrating: compare the method with the Cramer-Rao bound on simulated'
         ' boards, and repeat the tables of the paper on calibration',
@@ -89,7 +94,9 @@ def run(args: argparse.Namespace) -> None:
     _check(args)
     read_marks = _read_points if args.points else _detect_marks
     (captures, target, size, rejected), marks_s = _timed(lambda: read_marks(args))
-    result, solve_s = _timed(lambda: calibrate(captures, target, size, rejected=rejected))
+    result, solve_s = _timed(
+        lambda: calibrate(captures, target, size, lens=args.lens, rejected=rejected)
+    )
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
     print(summary(result))
     print(', '.join(str(path) for path in files))

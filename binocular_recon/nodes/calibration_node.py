@@ -95,6 +95,7 @@ class CalibrationNode(FrameNode):
             self._board,
             Path(options.output).expanduser(),
             (options.left_camera_name, options.right_camera_name),
+            lens=options.lens,
             rig_in_use=read_rig(Path(folder).expanduser()) if folder else None,
             explain_silence=self._explain_silence,
             on_state=self.health.state,

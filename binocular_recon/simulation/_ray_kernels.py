@@ -40,13 +40,6 @@ def ray_of_pixel(x: float, y: float, camera: FloatArray) -> tuple[float, float]:
 
 
 @kernel
-def rays_of_pixels(pixels: FloatArray, camera: FloatArray, rays: FloatArray) -> None:
-    """Write the undistorted rays (N, 2) of raw pixels (N, 2)."""
-    for i in range(pixels.shape[0]):
-        rays[i, 0], rays[i, 1] = ray_of_pixel(pixels[i, 0], pixels[i, 1], camera)
-
-
-@kernel
 def _hit(u: float, v: float, rod: FloatArray, marks: FloatArray) -> tuple[int, float]:
     """Return the band that a ray hits (MISS = none) and the light that it reflects.
 

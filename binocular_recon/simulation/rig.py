@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
-from binocular_recon.simulation._ray_kernels import rays_of_pixels
+from binocular_recon.errors import CalibrationError
 
 # Mean row difference of the marks at 5-16 m: 5.5 px (2.3 px without).
 TABLE_1_PITCH_RAD = -0.0027
@@ -46,14 +46,20 @@ class RawRig:
         return View(self.left, np.eye(3), np.zeros(3)), View(self.right, self.R, self.T)
 
     def stereo_rig(self) -> StereoRig:
-        """Return the rig with the R and P that rectify it (cv2.stereoRectify, alpha 0)."""
+        """Return the rig with the R and P that rectify it (cv2.stereoRectify, alpha 0).
+
+        With a fisheye lens P keeps the focal length (alpha -1).
+        """
+        fisheye = self.left.distortion_model == 'equidistant'
+        D_left, D_right = (
+            np.zeros(5) if fisheye else camera.D for camera in (self.left, self.right)
+        )
         R_left, R_right, P_left, P_right = cv2.stereoRectify(
-            self.left.K, self.left.D, self.right.K, self.right.D, self.left.size, self.R,
-            self.T.reshape(3, 1), alpha=0.0,
+            self.left.K, D_left, self.right.K, D_right, self.left.size, self.R,
+            self.T.reshape(3, 1), alpha=-1.0 if fisheye else 0.0,
         )[:4]  # fmt: skip
         return StereoRig(
-            Camera(*self.left.size, self.left.K, self.left.D, R_left, P_left),
-            Camera(*self.right.size, self.right.K, self.right.D, R_right, P_right),
+            replace(self.left, R=R_left, P=P_left), replace(self.right, R=R_right, P=P_right)
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -84,8 +90,20 @@ class View:
 
     @property
     def numbers(self) -> FloatArray:
-        """The camera for the kernels: fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,) float64."""
+        """The camera for the kernels: fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,) float64.
+
+        Raises
+        ------
+        CalibrationError
+            If the lens is not plumb_bob: images of other lenses cannot be drawn.
+
+        """
         K, D = self.camera.K, self.camera.D
+        if self.camera.distortion_model != 'plumb_bob':
+            raise CalibrationError(
+                f'images of a lens {self.camera.distortion_model} cannot be simulated, only its'
+                ' marks; draw images with a plumb_bob lens'
+            )
         return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *D, *np.zeros(5 - D.size)])
 
     def project(self, points_xyz: FloatArray) -> FloatArray:
@@ -97,28 +115,25 @@ class View:
         local = points @ self.R.T + self.T
         ahead = local[..., 2] > 0
         local = np.where(ahead[..., None], local, (0.0, 0.0, 1.0))
-        pixels = cv2.projectPoints(
-            local.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), self.camera.K, self.camera.D
-        )[0].reshape(*points.shape[:-1], 2)
+        rays = local[..., :2] / local[..., 2:]
+        pixels = self.camera.lens.pixels(rays, self.camera.K, self.camera.D)
         return np.where(ahead[..., None], pixels, np.nan)
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """Return directions (..., 3) in the reference frame, of camera depth 1, of raw pixels."""
-        pixels = np.ascontiguousarray(pixels, np.float64)
-        plane = np.empty_like(pixels)
-        rays_of_pixels(pixels.reshape(-1, 2), self.numbers, plane.reshape(-1, 2))
+        plane = self.camera.lens.rays(np.asarray(pixels, np.float64), self.camera.K, self.camera.D)
         rays: FloatArray = np.concatenate([plane, np.ones_like(plane[..., :1])], -1) @ self.R
         return rays
 
 
 def raw_camera(
     size: tuple[int, int], focal_px: tuple[float, float], centre_px: tuple[float, float],
-    distortion: tuple[float, ...] = (),
+    distortion: tuple[float, ...] = (), lens: str = 'plumb_bob',
 ) -> Camera:  # fmt: skip
     """Make a raw camera (R = I, P = K) from its intrinsics."""
     K = np.array([[focal_px[0], 0, centre_px[0]], [0, focal_px[1], centre_px[1]], [0, 0, 1.0]])
     P = np.hstack([K, np.zeros((3, 1))])
-    return Camera(*size, K, np.asarray(distortion, np.float64), np.eye(3), P)
+    return Camera(*size, K, np.asarray(distortion, np.float64), np.eye(3), P, lens)
 
 
 def survey_rig(scale: float = 1.0, pitch_rad: float = 0.0) -> RawRig:
@@ -145,4 +160,17 @@ def survey_rig(scale: float = 1.0, pitch_rad: float = 0.0) -> RawRig:
         (-0.07, 0.02, -0.0004, 0.0002),
     )  # fmt: skip
     R = cv2.Rodrigues(np.array([0.004 + pitch_rad, -0.02, 0.006]))[0]
+    return RawRig(left, right, R, -R @ np.array([1.0, 0.004, -0.01]))
+
+
+def fisheye_rig() -> RawRig:
+    """Return a rig of two equidistant cameras: 1920x1200, f about 700 px, 1 m baseline."""
+    size = (1920, 1200)
+    left = raw_camera(
+        size, (700, 701), (965, 598), (-0.02, 0.004, -0.003, 0.0006), 'equidistant'
+    )  # fmt: skip
+    right = raw_camera(
+        size, (706, 705), (950, 607), (-0.015, 0.002, -0.002, 0.0004), 'equidistant'
+    )  # fmt: skip
+    R = cv2.Rodrigues(np.array([0.004, -0.02, 0.006]))[0]
     return RawRig(left, right, R, -R @ np.array([1.0, 0.004, -0.01]))

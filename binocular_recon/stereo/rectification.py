@@ -57,14 +57,14 @@ def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
     Returns
     -------
     points_px : (N, 2) float64
-        Rectified columns and rows, px.
+        Rectified columns and rows, px; NaN where the lens model does not invert.
 
     """
-    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
-    points: FloatArray = module.undistortPoints(
-        points_px[:, None], camera.K, camera.D, R=camera.R, P=camera.P[:, :3]
-    )
-    return points[:, 0]
+    rays = camera.lens.rays(points_px, camera.K, camera.D)
+    homography = camera.P[:, :3] @ camera.R
+    mapped = rays @ homography[:, :2].T + homography[:, 2]
+    points: FloatArray = mapped[:, :2] / mapped[:, 2:]
+    return points
 
 
 class Rectifier:
@@ -91,7 +91,8 @@ class Rectifier:
     ConfigError
         If ``alpha`` is neither -1 nor within 0..1.
     CalibrationError
-        If an R is not a rotation.
+        If an R is not a rotation, or ``alpha`` needs an image border that the lens model cannot
+        undistort.
     ImageError
         If the images are larger than `LARGEST_SIDE_PX`.
 
@@ -204,5 +205,13 @@ def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, 
         for column, row in ((x[0], y), (x, y[0]), (x[-1], y), (x, y[-1]))
     ]
     raw = np.concatenate(sides)
-    left, top, right, bottom = rectified_points(camera, raw).reshape(4, _BORDER_SAMPLES, 2)
+    points = rectified_points(camera, raw)
+    lost = np.isnan(points[:, 0]).mean()
+    if lost:
+        raise CalibrationError(
+            f'{camera.distortion_model} cannot undistort {lost:.0%} of the image border with'
+            f' D = {camera.D.tolist()}, which alpha would need; use alpha -1, or calibrate with'
+            ' boards near the corners'
+        )
+    left, top, right, bottom = points.reshape(4, _BORDER_SAMPLES, 2)
     return left, top, right, bottom

@@ -8,11 +8,11 @@ import numpy as np
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.camera import FloatArray
 
-# The marks of a board in both pictures meet this closely, px, and its size is right to this share.
+# The marks of a board in both images meet this closely, px, and its size is right to this share.
 MEETING_PX, SIZE_SHARE = 5.0, 0.05
-EXCHANGED = 'its left and right picture are exchanged; rename them'
+EXCHANGED = 'its left and right image are exchanged; rename them'
 MISTAKEN = (
-    'its pictures do not agree on where the rods stand: in one of them rods or marks were taken'
+    'its images do not agree on where the rods stand: in one of them rods or marks were taken'
     ' for others, or the rods were moved in between'
 )
 
@@ -20,7 +20,7 @@ MISTAKEN = (
 def fault(
     calibration: StereoCalibration, nominal_m: FloatArray, given_px: FloatArray
 ) -> str | None:
-    """Say what contradicts a calibration, None if the two pictures of a board agree.
+    """Say what contradicts a calibration, None if the two images of a board agree.
 
     Parameters
     ----------

@@ -25,7 +25,13 @@ from binocular_recon.calibration.adjustment.linearisation import (
     linearise,
     predict,
 )
-from binocular_recon.calibration.model import COEFFICIENTS, PARAMETERS, check_finite
+from binocular_recon.calibration.model import (
+    COEFFICIENTS,
+    DEFAULT_LENS,
+    StereoCalibration,
+    check_finite,
+    parameters_of,
+)
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
@@ -35,8 +41,8 @@ from binocular_recon.images import Mask
 HUBER = 3.0
 # One standard deviation of what is known of every lens beforehand: the coefficients of a
 # distortion-free lens, and square pixels. Wide enough for any lens the model suits; it only
-# keeps few boards from being explained by an absurd one.
-DISTORTION_SIGMA = dict.fromkeys(COEFFICIENTS, 0.5) | {'p1': 0.005, 'p2': 0.005}
+# keeps few boards from being explained by one that does not invert.
+DISTORTION_SIGMA, TANGENTIAL_SIGMA = 0.5, 0.005
 ASPECT_SIGMA = 0.003
 # Smallest noise of a mark that is believed, px (marks without noise would void the priors).
 NOISE_FLOOR_PX = 1e-3
@@ -46,11 +52,11 @@ ROD_ERROR_PX = 0.05
 MAX_ITERATIONS = 100
 
 
-def free_parameters(coefficients: Collection[str]) -> Mask:
-    """Return which of ``PARAMETERS`` are estimated, (30,) bool, with these distortion terms."""
-    fixed = {f'{name}_{side}' for name in COEFFICIENTS for side in ('left', 'right')}
+def free_parameters(coefficients: Collection[str], lens: str = DEFAULT_LENS) -> Mask:
+    """Return which parameters are estimated, (p,) bool, with these distortion terms of a lens."""
+    fixed = {f'{name}_{side}' for name in COEFFICIENTS[lens] for side in ('left', 'right')}
     fixed -= {f'{name}_{side}' for name in coefficients for side in ('left', 'right')}
-    return np.array([name not in fixed for name in PARAMETERS])
+    return np.array([name not in fixed for name in parameters_of(lens)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +69,8 @@ class Problem:
         Rods, and how well their places are known.
     observed_px : (B, R, M, 4) float64
         Marks: left u, left v, right u, right v; NaN = not found.
-    free : (30,) bool
-        Parameters of `stereo_calibration.PARAMETERS` that are estimated.
+    free : (p,) bool
+        Parameters of the calibration that are estimated.
     sigma_px : (2,) float64
         One standard deviation of a mark's u and v.
     placement_scale : (5,) float64
@@ -150,8 +156,8 @@ def cost(problem: Problem, state: State) -> float:
     """Return the value that `minimise` minimises."""
     residuals = np.linalg.norm(problem.residuals(predict(state, problem.target)), axis=-1)
     rods = np.abs(problem.rod_residuals(state))
-    prior, _ = _calibration_prior(state)
-    values = _parameters(state)
+    prior, _ = _calibration_prior(state.calibration)
+    values = _parameters(state.calibration)
     return float(_loss(residuals).sum() + _loss(rods).sum() + 0.5 * values @ prior @ values)
 
 
@@ -172,7 +178,7 @@ def normal_equations(problem: Problem, state: State) -> NormalEquations:
     rod_rhs = (rods_T @ errors[..., None])[..., 0] - rod_weights * rod_residuals / sigmas
     shared_rows = shared.reshape(len(shared), -1, shared.shape[-1])
     shared_T = np.swapaxes(shared_rows, -1, -2)
-    prior, prior_rhs = _calibration_prior(state)
+    prior, prior_rhs = _calibration_prior(state.calibration)
     return NormalEquations(
         rod=rod,
         rod_shared=rods_T @ shared,
@@ -219,35 +225,36 @@ def _weights(residuals: FloatArray) -> FloatArray:
     return HUBER / np.maximum(residuals, HUBER)
 
 
-def _parameters(state: State) -> FloatArray:
-    """Return the intrinsics as the prior sees them, (30,): fx, fy, 0, 0, distortion; then 0."""
-    values = np.zeros(30)
-    for start, K, D in (
-        (0, state.calibration.K_left, state.calibration.D_left),
-        (12, state.calibration.K_right, state.calibration.D_right),
-    ):
+def _parameters(calibration: StereoCalibration) -> FloatArray:
+    """Return the intrinsics as the prior sees them, (p,): fx, fy, 0, 0, distortion; then 0."""
+    values = np.zeros(len(calibration.parameters))
+    for index, side in enumerate(('left', 'right')):
+        K, D, _, _ = calibration.side(side)
+        start = index * (4 + D.size)
         values[start : start + 2] = K[0, 0], K[1, 1]
-        values[start + 4 : start + 12] = D
+        values[start + 4 : start + 4 + D.size] = D
     return values
 
 
-def _calibration_prior(state: State) -> tuple[FloatArray, FloatArray]:
-    """Return the prior's information (30, 30) and right-hand side (30,)."""
-    prior = np.zeros((30, 30))
-    sigmas = np.array(list(DISTORTION_SIGMA.values()))
-    for start, K in ((0, state.calibration.K_left), (12, state.calibration.K_right)):
+def _calibration_prior(calibration: StereoCalibration) -> tuple[FloatArray, FloatArray]:
+    """Return the prior's information (p, p) and right-hand side (p,)."""
+    names = COEFFICIENTS[calibration.lens]
+    sigmas = np.array([TANGENTIAL_SIGMA if n[0] == 'p' else DISTORTION_SIGMA for n in names])
+    count = len(calibration.parameters)
+    prior = np.zeros((count, count))
+    for start, K in ((0, calibration.K_left), (4 + len(names), calibration.K_right)):
         # square pixels: (fx - fy) / f ~ N(0, ASPECT_SIGMA)
         difference = np.array([1.0, -1.0]) / (ASPECT_SIGMA * np.sqrt(K[0, 0] * K[1, 1]))
         prior[start : start + 2, start : start + 2] = np.outer(difference, difference)
-        terms = np.arange(start + 4, start + 12)
+        terms = np.arange(start + 4, start + 4 + len(names))
         prior[terms, terms] = 1 / sigmas**2
-    return prior, -prior @ _parameters(state)
+    return prior, -prior @ _parameters(calibration)
 
 
 def _moved(
     problem: Problem, state: State, steps: tuple[FloatArray, FloatArray, FloatArray]
 ) -> State:
-    calibration = np.zeros(30)
+    calibration = np.zeros(len(problem.free))
     calibration[problem.free] = steps[0]
     rods = np.zeros_like(state.deviations)
     rods[..., problem.free_deviations] = steps[2]

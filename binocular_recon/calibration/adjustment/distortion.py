@@ -3,7 +3,7 @@
 
 A model with more terms always fits better; it is taken only if the misfit falls by more than
 the terms would win by chance (Bayesian information criterion; Schwarz 1978). Few boards leave
-the picture's corners empty, where superfluous terms do their harm unseen.
+the image's corners empty, where superfluous terms do their harm unseen.
 """
 
 from __future__ import annotations
@@ -20,18 +20,28 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import (
 )
 from binocular_recon.calibration.adjustment.linearisation import State
 from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS
+from binocular_recon.calibration.model import DEFAULT_LENS
 from binocular_recon.errors import CalibrationError
 
-# From few terms to many; the simpler ones are compared for the report, never chosen.
-MODELS = {
-    'none': (),
-    'k1': ('k1',),
-    'k1 k2': ('k1', 'k2'),
-    'k1 k2 p1 p2': DEFAULT_COEFFICIENTS,
-    'k1 k2 p1 p2 k3': (*DEFAULT_COEFFICIENTS, 'k3'),
-    'rational': (*DEFAULT_COEFFICIENTS, 'k3', 'k4', 'k5', 'k6'),
+# Per lens, from few terms to many; those simpler than the default are compared for the report,
+# never chosen.
+MODELS: dict[str, dict[str, tuple[str, ...]]] = {
+    'plumb_bob': {
+        'none': (),
+        'k1': ('k1',),
+        'k1 k2': ('k1', 'k2'),
+        'k1 k2 p1 p2': ('k1', 'k2', 'p1', 'p2'),
+        'k1 k2 p1 p2 k3': ('k1', 'k2', 'p1', 'p2', 'k3'),
+        'rational': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
+    },
+    'equidistant': {
+        'none': (),
+        'k1': ('k1',),
+        'k1 k2': ('k1', 'k2'),
+        'k1 k2 k3': ('k1', 'k2', 'k3'),
+        'k1 k2 k3 k4': ('k1', 'k2', 'k3', 'k4'),
+    },
 }
-DEFAULT_MODEL = 'k1 k2 p1 p2'
 # "Very strong" evidence on Kass and Raftery's scale (1995).
 STRONG_EVIDENCE = 10.0
 
@@ -43,7 +53,7 @@ class Evidence:
     Attributes
     ----------
     model : str
-        Key of ``MODELS``.
+        Key of the lens' ``MODELS``.
     chi2 : float
         Sum of squared residuals in standard deviations (robust, priors included).
     parameters : int
@@ -59,8 +69,13 @@ class Evidence:
     bic: float
 
 
+def default_model(lens: str) -> str:
+    """Return the model that a lens starts with, a key of its ``MODELS``."""
+    return ' '.join(DEFAULT_COEFFICIENTS[lens])
+
+
 def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
-    """Fit every model of ``MODELS`` to the same marks with the same noise.
+    """Fit every model of the lens to the same marks with the same noise.
 
     Parameters
     ----------
@@ -70,9 +85,9 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
         Solution of the default model.
 
     """
-    found = []
-    for model, coefficients in MODELS.items():
-        candidate = replace(problem, free=free_parameters(coefficients))
+    found, lens = [], state.calibration.lens
+    for model, coefficients in MODELS[lens].items():
+        candidate = replace(problem, free=free_parameters(coefficients, lens))
         try:
             chi2 = 2 * cost(candidate, minimise(candidate, _restricted(state, coefficients)))
         except CalibrationError:
@@ -80,7 +95,7 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
         found.append((model, chi2, int(candidate.free.sum())))
     penalty = np.log(2 * problem.seen.sum())
     reference = next(
-        chi2 + count * penalty for model, chi2, count in found if model == DEFAULT_MODEL
+        chi2 + count * penalty for model, chi2, count in found if model == default_model(lens)
     )
     return tuple(
         Evidence(model, chi2, count, chi2 + count * penalty - reference)
@@ -88,23 +103,24 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
     )
 
 
-def choose_model(evidence: tuple[Evidence, ...]) -> str:
+def choose_model(evidence: tuple[Evidence, ...], lens: str = DEFAULT_LENS) -> str:
     """Return the default model, or a larger one that the marks strongly call for."""
-    names = list(MODELS)
-    larger = [e for e in evidence if names.index(e.model) > names.index(DEFAULT_MODEL)]
+    names, default = list(MODELS[lens]), default_model(lens)
+    larger = [e for e in evidence if names.index(e.model) > names.index(default)]
     best = min(larger, key=lambda e: e.bic)
-    return best.model if best.bic < -STRONG_EVIDENCE else DEFAULT_MODEL
+    return best.model if best.bic < -STRONG_EVIDENCE else default
 
 
 def _restricted(state: State, coefficients: tuple[str, ...]) -> State:
     """Return the state with every other coefficient at zero."""
-    free = free_parameters(coefficients)
     calibration = state.calibration
+    free = free_parameters(coefficients, calibration.lens)
+    count = 4 + calibration.D_left.size
     return replace(
         state,
         calibration=replace(
             calibration,
-            D_left=calibration.D_left * free[4:12],
-            D_right=calibration.D_right * free[16:24],
+            D_left=calibration.D_left * free[4:count],
+            D_right=calibration.D_right * free[count + 4 : 2 * count],
         ),
     )

@@ -255,7 +255,7 @@ def _worst_board(fit: Fit) -> tuple[int | None, str]:
     worst = int(np.argmin(left))
     if left[worst] < MIN_MARKS:
         return worst, (
-            f'only {left[worst]} marks of one picture fit, at least {MIN_MARKS} are needed in each'
+            f'only {left[worst]} marks of one image fit, at least {MIN_MARKS} are needed in each'
         )
     return None, ''
 
@@ -264,6 +264,6 @@ def _reason(fit: Fit, board: int) -> str:
     errors_px = fit.errors_px[board][np.isfinite(fit.errors_px[board])]
     return (
         f'its marks are off by {np.median(errors_px):.2g} px, those of all boards by'
-        f' {np.nanmedian(fit.errors_px):.2g} px; a rod moved between its two pictures, or they'
+        f' {np.nanmedian(fit.errors_px):.2g} px; a rod moved between its two images, or they'
         ' are blurred'
     )

@@ -9,19 +9,19 @@ Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), through
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.adjustment._camera_estimate import CameraEstimate
 from binocular_recon.calibration.adjustment.bundle_adjustment import (
     NOISE_FLOOR_PX,
     Problem,
     free_parameters,
     minimise,
 )
+from binocular_recon.calibration.adjustment.fisheye_start import start_fisheye
 from binocular_recon.calibration.adjustment.linearisation import State, predict
-from binocular_recon.calibration.model import StereoCalibration, check_finite
+from binocular_recon.calibration.model import DEFAULT_LENS, StereoCalibration, check_finite
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
@@ -33,28 +33,22 @@ MIN_MARKS = 6
 _ZHANG_BOARDS = 20
 # A third radial term, or a rational model, is not determined by the marks of a few boards;
 # `distortion` adds terms where the marks call for them.
-DEFAULT_COEFFICIENTS = ('k1', 'k2', 'p1', 'p2')
+DEFAULT_COEFFICIENTS = {'plumb_bob': ('k1', 'k2', 'p1', 'p2'), 'equidistant': ('k1', 'k2')}
 _FLAGS = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
 
 
-@dataclass(frozen=True, eq=False)
-class CameraEstimate:
-    """One camera and the boards it saw."""
-
-    K: FloatArray
-    D: FloatArray
-    rotations: FloatArray
-    translations_m: FloatArray
-
-
 def calibrate_planar(
-    observed_px: FloatArray, target: Target, image_size: tuple[int, int]
+    observed_px: FloatArray,
+    target: Target,
+    image_size: tuple[int, int],
+    lens: str = DEFAULT_LENS,
 ) -> State:
     """Calibrate both cameras and their pose from boards taken as exact and without thickness.
 
     Zhang's method per camera, then both cameras and all boards refined together by
     `bundle_adjustment`: as ``cv2.stereoCalibrate``, but robust against single marks and with
-    its priors on lenses; left and right are free to differ.
+    its priors on lenses; left and right are free to differ. A fisheye lens starts from
+    `fisheye_start` instead of Zhang's method.
 
     Parameters
     ----------
@@ -65,11 +59,13 @@ def calibrate_planar(
         The boards' nominal geometry.
     image_size : (int, int)
         Width and height, px.
+    lens : str
+        Lens of both cameras, a key of `model.COEFFICIENTS`.
 
     Returns
     -------
     State
-        Both cameras (k1 k2 p1 p2) and the boards' poses, no rod displaced.
+        Both cameras (``DEFAULT_COEFFICIENTS``) and the boards' poses, no rod displaced.
 
     Raises
     ------
@@ -79,22 +75,23 @@ def calibrate_planar(
     """
     points = target.nominal_m.reshape(-1, 3)
     count = len(observed_px)
+    start = start_fisheye if lens == 'equidistant' else _calibrate_camera
     left, right = (
-        _calibrate_camera(points, pixels.reshape(count, -1, 2), image_size)
+        start(points, pixels.reshape(count, -1, 2), image_size)
         for pixels in (observed_px[..., :2], observed_px[..., 2:])
     )
     # each board gives the pose between the cameras once; the medians ignore a few bad boards
     R = _mean_rotation(right.rotations @ np.swapaxes(left.rotations, -1, -2))
     T = np.median(right.translations_m - left.translations_m @ R.T, axis=0)
-    calibration = StereoCalibration(image_size, left.K, left.D, right.K, right.D, R, T)
+    calibration = StereoCalibration(image_size, left.K, left.D, right.K, right.D, R, T, lens)
     check_finite(calibration)
-    start = State(
+    state = State(
         calibration, left.rotations, left.translations_m, np.zeros((count, target.shape[0], 5))
     )
-    errors = np.abs(observed_px - predict(start, target.exact()))
+    errors = np.abs(observed_px - predict(state, target.exact()))
     noise = np.full(2, max(np.nanmedian(errors) / 0.6745, NOISE_FLOOR_PX))
-    free = free_parameters(DEFAULT_COEFFICIENTS)
-    return minimise(Problem(target.exact(), observed_px, free, noise), start)
+    free = free_parameters(DEFAULT_COEFFICIENTS[lens], lens)
+    return minimise(Problem(target.exact(), observed_px, free, noise), state)
 
 
 def _calibrate_camera(
@@ -119,7 +116,7 @@ def _calibrate_camera(
     except cv2.error as error:
         raise CalibrationError(
             f'no camera fits the marks ({error.err or error}); check that rods.yaml states the'
-            ' rods in the pictures, and capture boards at more distances and angles'
+            ' rods in the images, and capture boards at more distances and angles'
         ) from error
     return CameraEstimate(
         K=K,

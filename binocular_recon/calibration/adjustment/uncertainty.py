@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.model import PARAMETERS, StereoCalibration
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
 
-# Depth is judged over the middle half of the picture's width and height.
+# Depth is judged over the middle half of the image's width and height.
 FIELD_SHARE = 0.5
 _FIELD_POINTS = 7, 5
 
@@ -17,7 +17,7 @@ _FIELD_POINTS = 7, 5
 def field_of_view(
     calibration: StereoCalibration, depth_m: float, share: float = FIELD_SHARE
 ) -> FloatArray:
-    """Return a grid of points at one depth in the middle of the left picture.
+    """Return a grid of points at one depth in the middle of the left image.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ def field_of_view(
     Returns
     -------
     (N, 3) float64
-        Points that the right camera sees too, left frame, m; none if the pictures do not overlap.
+        Points that the right camera sees too, left frame, m; none if the images do not overlap.
 
     """
     width, height = calibration.image_size
-    edge = (1 - share) / 2
+    margin = (1 - share) / 2
     axes = [
-        np.linspace(edge, 1 - edge, count) * (length - 1)
+        np.linspace(margin, 1 - margin, count) * (length - 1)
         for count, length in zip(_FIELD_POINTS, (width, height), strict=True)
     ]
     pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
@@ -48,7 +48,7 @@ def field_of_view(
 
 
 def points_at(calibration: StereoCalibration, pixels: FloatArray, depth_m: float) -> FloatArray:
-    """Return the points seen at (..., 2) px of the raw left picture at a depth, (..., 3) m."""
+    """Return the points seen at (..., 2) px of the raw left image at a depth, (..., 3) m."""
     K = calibration.K_left
     plane = (calibration.undistort(pixels, 'left') - K[:2, 2]) / np.diag(K)[:2]
     return np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1) * depth_m
@@ -58,12 +58,13 @@ def depth_derivatives(
     calibration: StereoCalibration, free: Mask, points_m: FloatArray
 ) -> FloatArray:
     """Return by how much triangulated depth changes with each free parameter, (N, n)."""
+    names = calibration.parameters
     left, right = (calibration.project(points_m, side) for side in ('left', 'right'))
     columns = []
     for index in np.flatnonzero(free):
         # a thousandth of a pixel, or a microradian or micrometre
-        step = np.zeros(len(PARAMETERS))
-        step[index] = 1e-3 if PARAMETERS[index][:2] in {'fx', 'fy', 'cx', 'cy'} else 1e-6
+        step = np.zeros(len(names))
+        step[index] = 1e-3 if names[index][:2] in {'fx', 'fy', 'cx', 'cy'} else 1e-6
         depths = [
             calibration.moved(sign * step).triangulate(left, right)[..., 2] for sign in (1, -1)
         ]
@@ -91,6 +92,6 @@ def matching_sigma_m(
 
 def baseline_sigma_m(calibration: StereoCalibration, free: Mask, covariance: FloatArray) -> float:
     """Return one standard deviation of the baseline, m."""
-    direction = np.zeros(len(PARAMETERS))
+    direction = np.zeros(len(calibration.parameters))
     direction[-3:] = calibration.T / calibration.baseline_m
     return float(np.sqrt(direction[free] @ covariance @ direction[free]))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Polar-line correction: homographies that turn epipolar lines into rows (eq. 1-9).
+"""Epipolar correction: homographies that turn epipolar lines into rows (eq. 1-9).
 
-`polar` is the paper's correction, `metric_rectification` the one that keeps Z = f T / d and is
+`epipolar` is the paper's correction, `metric_rectification` the one that keeps Z = f T / d and is
 written into the camera files, `recalibration` the paper's third step, `homography` what they
 share.
 """
@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from binocular_recon.calibration.rectification.metric_rectification import (
-        correction_of,
-        metric_rig,
-    )
-    from binocular_recon.calibration.rectification.polar import (
+    from binocular_recon.calibration.rectification.epipolar import (
         free_pair,
         fundamental_matrix,
         row_aligning_pair,
+    )
+    from binocular_recon.calibration.rectification.metric_rectification import (
+        correction_of,
+        metric_rig,
     )
     from binocular_recon.calibration.rectification.recalibration import (
         Recalibration,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The polar-line correction that keeps Z = f T / d: what CameraInfo states as R and P.
+"""The epipolar correction that keeps Z = f T / d: what CameraInfo states as R and P.
 
 Eq. 9 makes rows correspond; for metric depth both corrected cameras must also be K* R* with the
 same R*, the same f_x, f_y and c_y, and no skew (eq. 1-2). Free remain f_x, f_y, c_y, the turn
-about the baseline and each c_x; they are chosen to resample the recorded pictures least.
+about the baseline and each c_x; they are chosen to resample the recorded images least.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.rectification.epipolar import check_epipoles
 from binocular_recon.calibration.rectification.homography import (
     Correction,
     ImageGrid,
     centring,
     check_in_front,
 )
-from binocular_recon.calibration.rectification.polar import check_epipoles
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 
 # The principal points of both cameras are the same, so that a point at infinity has disparity 0,
-# unless centring the pictures would set them apart by more than this share of the width.
+# unless centring the images would set them apart by more than this share of the width.
 OFFSET_LIMIT = 0.1
 
 
 def metric_rig(calibration: StereoCalibration) -> StereoRig:
-    """Return the rig with the rectification R, P that resamples both pictures least.
+    """Return the rig with the rectification R, P that resamples both images least.
 
     Both cameras share R* (its x axis is the baseline), f_x, f_y and c_y; f_x, f_y and the turn
     about the baseline are chosen by least resampling, c_y and c_x by centring. c_x is the same in
@@ -37,7 +37,7 @@ def metric_rig(calibration: StereoCalibration) -> StereoRig:
     Raises
     ------
     CalibrationError
-        If an epipole lies inside or close to its picture, or the cameras are swapped or stand
+        If an epipole lies inside or close to its image, or the cameras are swapped or stand
         one above the other.
 
     """
@@ -90,7 +90,7 @@ def check_order(calibration: StereoCalibration) -> None:
     if x < 0:
         raise CalibrationError(
             f'left and right are swapped: the right camera stands {-x:.3g} m to the left of the'
-            ' left one; exchange the pictures of the two cameras'
+            ' left one; exchange the images of the two cameras'
         )
 
 
@@ -115,14 +115,5 @@ def _metric_pair(
 
 def _camera(calibration: StereoCalibration, side: str, R: FloatArray, P: FloatArray) -> Camera:
     width, height = calibration.image_size
-    K, D, _, _ = calibration.side(side)
-    rational = D[5:].any()
-    return Camera(
-        width=width,
-        height=height,
-        K=K,
-        D=D if rational else D[:5],
-        R=R,
-        P=P,
-        distortion_model='rational_polynomial' if rational else 'plumb_bob',
-    )
+    model, D = calibration.stated_lens(side)
+    return Camera(width, height, calibration.side(side)[0], D, R, P, model)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's third step: calibrate again on marks after polar-line correction (section 2.2).
+"""The paper's third step: calibrate again on marks after epipolar correction (section 2.2).
 
-Errors are mapped back to the original pictures. In the corrected picture they would shrink
-wherever the correction shrinks the picture, without anything having become more accurate.
+Errors are mapped back to the original images. In the corrected image they would shrink
+wherever the correction shrinks the image, without anything having become more accurate.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Recalibration:
     state : State
         Corrected cameras and boards.
     predicted_px : (B, R, M, 4) float64
-        Where this calibration expects the marks in the original pictures.
+        Where this calibration expects the marks in the original images.
 
     """
 
@@ -50,12 +50,14 @@ def recalibrate(
 ) -> Recalibration:
     """Correct the marks with a planar calibration and calibrate again.
 
+    Corrected images are those of pinhole cameras, whatever the lens was.
+
     The metric pair of homographies is used, because the calibrated cameras have no skew.
 
     Parameters
     ----------
     observed_px : (B, R, M, 4) float64
-        Marks in the original pictures; NaN = not found.
+        Marks in the original images; NaN = not found.
     target : Target
         The boards' nominal geometry, taken as exact.
     planar : StereoCalibration

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from html import escape
 
+from binocular_recon.calibration.adjustment.distortion import default_model
+from binocular_recon.calibration.model import COEFFICIENTS
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.drawing.page import section, table
 
@@ -18,7 +20,7 @@ def numbers(result: CalibrationResult) -> str:
     for name, place in (('fx', (0, 0)), ('fy', (1, 1)), ('cx', (0, 2)), ('cy', (1, 2))):
         values = (f'{K[s][place]:.3f} ± {sigma[f"{name}_{s}_px"]:.2g} px' for s in K)
         rows.append((name, *values))
-    for i, name in enumerate(('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6')):
+    for i, name in enumerate(COEFFICIENTS[calibration.lens]):
         if f'{name}_left' in sigma:
             values = (f'{D[s][i]:.6f} ± {sigma[f"{name}_{s}"]:.1g}' for s in D)
             rows.append((name, *values))
@@ -38,8 +40,8 @@ def numbers(result: CalibrationResult) -> str:
     return section(
         'Numbers',
         'Values with one standard deviation. Distortion models are compared by the Bayesian'
-        ' information criterion (lower is better); a larger model than k1 k2 p1 p2 is taken only'
-        ' on strong evidence.',
+        f' information criterion (lower is better); a larger model than'
+        f' {default_model(calibration.lens)} is taken only on strong evidence.',
         table(('', 'left', 'right'), rows),
         table(('pose', 'right from left'), pose),
         table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),

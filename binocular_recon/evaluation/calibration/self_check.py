@@ -23,11 +23,11 @@ from binocular_recon.calibration.adjustment.linearisation import State, predict
 from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS
 from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m
 from binocular_recon.calibration.model import StereoCalibration
+from binocular_recon.calibration.rectification.epipolar import free_pair
 from binocular_recon.calibration.rectification.metric_rectification import (
     correction_of,
     metric_rig,
 )
-from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult, row_statistics
 from binocular_recon.calibration.screening import observations
@@ -187,8 +187,9 @@ def self_check(
 def true_calibration(rig: RawRig) -> StereoCalibration:
     """Return a simulated rig as a calibration."""
     return StereoCalibration(
-        rig.left.size, rig.left.K, rig.left.D, rig.right.K, rig.right.D, rig.R, rig.T
-    )
+        rig.left.size, rig.left.K, rig.left.D, rig.right.K, rig.right.D, rig.R, rig.T,
+        rig.left.distortion_model,
+    )  # fmt: skip
 
 
 def depth_errors_m(calibration: StereoCalibration, truth: StereoCalibration) -> FloatArray:
@@ -208,7 +209,7 @@ def bound_m(rig: RawRig, placed: list[PlacedBoard], noise_px: float) -> FloatArr
         np.array([board.translation_xyz for board in placed]),
         np.zeros((len(placed), target.shape[0], 5)),
     )
-    free = free_parameters(DEFAULT_COEFFICIENTS)
+    free = free_parameters(DEFAULT_COEFFICIENTS['plumb_bob'])
     problem = Problem(target, predict(state, target), free, np.full(2, noise_px))
     information = normal_equations(problem, state).board_information().sum(axis=0)
     sigma = depth_sigma_m(truth, free, np.linalg.inv(information), _points().reshape(-1, 3))

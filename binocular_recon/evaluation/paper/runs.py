@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from binocular_recon.calibration.detection.detect import detect_rods
+from binocular_recon.calibration.rectification.epipolar import free_pair
 from binocular_recon.calibration.rectification.metric_rectification import (
     correction_of,
     metric_rig,
 )
-from binocular_recon.calibration.rectification.polar import free_pair
 from binocular_recon.calibration.rectification.recalibration import corrected_marks
 from binocular_recon.calibration.result import CalibrationResult, row_statistics
 from binocular_recon.calibration.screening import observations
@@ -64,7 +64,7 @@ class PaperRun:
         Table 2: mean reprojection error of each board, all methods.
     rows : list of list of float
         Table 1: of six marks of one rod the row in the left and right image as taken, after
-        polar-line correction, and rectified with the adjusted calibration, px; NaN = not found.
+        epipolar correction, and rectified with the adjusted calibration, px; NaN = not found.
     rows_px : dict of str to float
         Mean row difference of all marks on the held-out board: uncorrected, corrected, adjusted.
     errors_mm : dict of str to list of float

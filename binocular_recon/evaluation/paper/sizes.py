@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from binocular_recon.calibration.model import undistort
 from binocular_recon.camera import Camera, FloatArray
 from binocular_recon.evaluation.paper.site import Pixels, Site
 from binocular_recon.measurement.ruler import Ruler, VerticalPlane
+from binocular_recon.stereo.rectification import rectified_points
 
 PEOPLE = 'person_1', 'person_2'
 
@@ -19,12 +19,7 @@ BICYCLE = 'bicycle'
 
 def rectified(pick: Pixels, camera: Camera) -> Pixels:
     """Return raw pixels of a camera as pixels of its rectified image."""
-    pixels = {}
-    for name, raw in pick.items():
-        x, y = undistort(raw, camera.K, camera.D, np.eye(3))
-        image = camera.P[:, :3] @ camera.R @ [x, y, 1.0]
-        pixels[name] = image[:2] / image[2]
-    return pixels
+    return {name: rectified_points(camera, raw[None])[0] for name, raw in pick.items()}
 
 
 def heights(measure: Callable[[FloatArray, FloatArray], float], pick: Pixels) -> dict[str, float]:

@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from binocular_recon.calibration.model import DEFAULT_LENS
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.screening import complaint
+from binocular_recon.calibration.screening import rejection_reason
 from binocular_recon.calibration.session.calibration_files import finish_saving, save_calibration
 from binocular_recon.calibration.session.capture_store import CaptureStore
 from binocular_recon.calibration.session.captures import CaptureSet
@@ -53,6 +54,8 @@ class CalibrationServices:
         Folder of the calibration; captures are kept in ``captures/`` under it.
     names : (str, str)
         Names of the left and the right camera.
+    lens : str
+        Lens of both cameras, a key of `calibration.model.COEFFICIENTS`.
     rig_in_use : StereoRig or None
         Calibration whose row error captures report.
     explain_silence : callable
@@ -77,6 +80,7 @@ class CalibrationServices:
         output: Path,
         names: tuple[str, str],
         *,
+        lens: str = DEFAULT_LENS,
         rig_in_use: StereoRig | None,
         explain_silence: Callable[[], str],
         on_state: Callable[[str, str], None],
@@ -86,7 +90,7 @@ class CalibrationServices:
         self.pairs = NewestPair()
         self._board, self._target = board, Target.from_rods(board)
         self._output, self._names = output, names
-        self._rig_in_use = rig_in_use
+        self._lens, self._rig_in_use = lens, rig_in_use
         self._explain_silence, self._on_state = explain_silence, on_state
         self._send_to_cameras = send_to_cameras
         self._store = CaptureStore(output / 'captures', board, stopped=stopped)
@@ -150,7 +154,11 @@ class CalibrationServices:
             with _or_busy(self._storing):
                 found = self._store.captures()
             result = calibrate(
-                found.captures, self._board, found.image_size, rejected=found.rejected
+                found.captures,
+                self._board,
+                found.image_size,
+                lens=self._lens,
+                rejected=found.rejected,
             )
             self._result = result
             self._on_state('calibration', f'{len(result.names)} boards, not saved yet')
@@ -179,9 +187,9 @@ class CalibrationServices:
     ) -> str | None:
         """Return why a capture cannot be used with the stored boards, None if it can."""
         if stored is None:
-            return complaint(capture, self._target, size, ())
-        return describe_size_change(size, stored.image_size) or complaint(
-            capture, self._target, size, stored.captures
+            return rejection_reason(capture, self._target, size, (), self._lens)
+        return describe_size_change(size, stored.image_size) or rejection_reason(
+            capture, self._target, size, stored.captures, self._lens
         )
 
 

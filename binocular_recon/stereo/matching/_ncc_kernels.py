@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, exact_kernel, kernel
 from binocular_recon._simd import LANES, load, splat, store
 
 NO_SCORE = np.float32(-1.75)  # below every score, above what overflows a key
@@ -118,7 +118,7 @@ def enter_row(pair: PaddedPair, statistics: Statistics, new: int, old: int) -> N
     )
 
 
-@kernel
+@exact_kernel
 def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: Array) -> None:
     """Write the sum and 1 / norm of the window that starts at each column; 0 = no score."""
     count = size * size
@@ -147,7 +147,7 @@ def _window_energy(sums: Array, size: int, least: float, total: Array, inverse: 
         inverse[i] = side / np.sqrt(square[i]) if no_data[i] != 0 else zero
 
 
-@kernel
+@exact_kernel
 def normalise_row(pair: PaddedPair, statistics: Statistics) -> None:
     """Set the norms of both images from the column sums."""
     size = pair.size

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, exact_kernel, kernel
 from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
 from binocular_recon.stereo import _validity_kernels as reason
 from binocular_recon.stereo.matching._ncc_kernels import (
@@ -93,7 +93,7 @@ def _check(scores: Array, index: int, selection: Selection) -> Any:
     return reason.MEASURED
 
 
-@kernel
+@exact_kernel
 def _offset(scores: Array, index: int) -> Any:
     """Return the offset of the maximum from ``index``, on the parabola through three scores."""
     if index == 0 or index == scores.size - 1:

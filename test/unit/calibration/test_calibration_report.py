@@ -165,7 +165,7 @@ def test_advised_board_gains_what_was_promised() -> None:
 def test_advice_in_words() -> None:
     words = str(solved(0.005).advice[0])
     assert re.fullmatch(
-        r'a board at [\d.]+ m, (far )?(left|right|middle) of the picture, (turned by \d+ degrees,'
+        r'a board at [\d.]+ m, (far )?(left|right|middle) of the image, (turned by \d+ degrees,'
         r' its (left|right) end away from the cameras|facing the cameras): depth sigma at [\d.]+ m'
         r' falls from [\d.]+ to [\d.]+ mm \(-\d+ %\)',
         words,

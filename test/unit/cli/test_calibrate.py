@@ -78,7 +78,7 @@ def test_images_to_a_calibrated_rig(
     assert '640x480' in reasons['7'] and '960x600' in reasons['7']
     assert 'no board found' in reasons['8']
     assert 'rods were moved in between' in reasons['moved']
-    assert 'left and right picture are exchanged' in reasons['swapped']
+    assert 'left and right image are exchanged' in reasons['swapped']
     assert 'blurred' in reasons
     assert all(f'left out: {name}: ' in text for name in reasons)
     pattern = r'^12 boards in [\d.]+ s: marks [\d.]+ s, calibration [\d.]+ s, report [\d.]+ s'

@@ -24,7 +24,7 @@ from binocular_recon.simulation.render import (
     draw_rods,
     expose,
 )
-from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, survey_rig
+from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, fisheye_rig, survey_rig
 from binocular_recon.simulation.rods import draw_board, paper_board, place_board
 
 
@@ -49,6 +49,20 @@ def test_rays_invert_the_projection() -> None:
         along = points - view.centre_xyz
         depth = (along @ view.R.T)[:, 2:]
         np.testing.assert_allclose(rays, along / depth, atol=2e-6)
+
+
+def test_a_fisheye_rig_has_marks_and_a_rectification_but_no_images() -> None:
+    rig = fisheye_rig()
+    view = rig.views()[1]
+    point = np.array([[6.0, -1.0, 4.0]])
+    local = (point @ rig.R.T + rig.T)[:, None]
+    expected = cv2.fisheye.projectPoints(
+        local, np.zeros(3), np.zeros(3), rig.right.K, rig.right.D
+    )[0][:, 0]
+    np.testing.assert_allclose(view.project(point), expected, atol=1e-9)
+    assert rig.stereo_rig().right.distortion_model == 'equidistant'
+    with pytest.raises(CalibrationError, match='equidistant cannot be simulated, only its marks'):
+        _ = view.numbers
 
 
 def test_points_behind_the_camera_have_no_image() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Polar-line correction: eq. 1-9 held numerically, and what CameraInfo needs of them."""
+"""Epipolar correction: eq. 1-9 held numerically, and what CameraInfo needs of them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import pytest
 from scipy.linalg import rq
 
 from binocular_recon.calibration.model import StereoCalibration, rotation
-from binocular_recon.calibration.rectification.homography import Correction, ImageGrid, apply
-from binocular_recon.calibration.rectification.metric_rectification import (
-    check_order,
-    correction_of,
-    metric_rig,
-)
-from binocular_recon.calibration.rectification.polar import (
+from binocular_recon.calibration.rectification.epipolar import (
     F_STAR,
     epipoles,
     free_pair,
     fundamental_matrix,
     row_aligning_pair,
+)
+from binocular_recon.calibration.rectification.homography import Correction, ImageGrid, apply
+from binocular_recon.calibration.rectification.metric_rectification import (
+    check_order,
+    correction_of,
+    metric_rig,
 )
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
@@ -141,16 +141,16 @@ def test_points_at_infinity_have_no_disparity_unless_the_cameras_squint() -> Non
 
 
 @pytest.mark.parametrize('rig', RIGS)
-def test_pictures_are_resampled_little_and_stay_upright(rig: str) -> None:
+def test_images_are_resampled_little_and_stay_upright(rig: str) -> None:
     calibration = RIGS[rig]
     found = pairs(calibration)
     departures = {}
     for kind in ('free', 'metric'):
         values = []
         for side in ('left', 'right'):
-            picture = ImageGrid.of(calibration, side)
+            grid = ImageGrid.of(calibration, side)
             H = found[kind].side(side)
-            values.append(picture.resampling(H))
+            values.append(grid.resampling(H))
             centre = np.array([959.5, 599.5])
             step = apply(H, centre + np.eye(2) * 10) - apply(H, centre)
             assert step[0, 0] > 7 and step[1, 1] > 7
@@ -160,18 +160,18 @@ def test_pictures_are_resampled_little_and_stay_upright(rig: str) -> None:
     assert np.sqrt(departures['metric'] / (4 * 81)) < 0.08
 
 
-def test_rectified_pictures_use_what_is_stated() -> None:
+def test_rectified_images_use_what_is_stated() -> None:
     calibration = RIGS['survey']
     rectifier = Rectifier(metric_rig(calibration))
     point = np.array([[0.4, -0.3, 9.0]])
-    pictures = []
+    images = []
     for side in ('left', 'right'):
         y, x = np.mgrid[:1200, :1920]
         spot = calibration.project(point, side)[0]
         blob = 255 * np.exp(-((x - spot[0]) ** 2 + (y - spot[1]) ** 2) / 18)
-        pictures.append(blob.astype(np.float32))
+        images.append(blob.astype(np.float32))
     rows = []
-    for rectified in rectifier(*pictures):
+    for rectified in rectifier(*images):
         weights = rectified.sum(axis=1)
         rows.append(float(weights @ np.arange(1200) / weights.sum()))
     assert rows[0] == pytest.approx(rows[1], abs=0.03)
@@ -184,13 +184,13 @@ def test_distortion_that_folds_the_corners_is_left_out() -> None:
     assert 0.5 < ImageGrid.of(folded, 'left').usable_share < 1
     rig = metric_rig(folded)
     assert rig.focal_px == pytest.approx(1650, rel=0.25)
-    with pytest.raises(CalibrationError, match='distortion of the left camera is absurd'):
+    with pytest.raises(CalibrationError, match='distortion of the left camera is not invertible'):
         metric_rig(truth().moved(20 * step))
 
 
-def test_epipole_inside_the_picture_is_refused() -> None:
+def test_epipole_inside_the_image_is_refused() -> None:
     forward = turned(0.0, 0.0, 0.0, (0.05, 0.02, 1.0))
-    with pytest.raises(CalibrationError, match='epipole of the left picture lies inside'):
+    with pytest.raises(CalibrationError, match='epipole of the left image lies inside'):
         row_aligning_pair(forward)
     with pytest.raises(CalibrationError, match='epipole'):
         metric_rig(turned(0.0, 0.0, 0.0, (0.5, 0.0, 1.0)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Polar-line correction: homographies that make the rows of both pictures correspond (eq. 1-9).
+"""Epipolar correction: homographies that make the rows of both images correspond (eq. 1-9).
 
 Homographies act on undistorted pixels; with F, x_R^T F x_L = 0. What eq. 9 leaves free is chosen
-to resample the recorded pictures least. The pair found here keeps all of eq. 9 free and serves
+to resample the recorded images least. The pair found here keeps all of eq. 9 free and serves
 the paper's Table 1; `metric_rectification` adds what Z = f T / d needs.
 
 Source: the paper, section 2.2; Gluckman and Nayar, "Rectifying transformations that minimize
@@ -38,7 +38,7 @@ def fundamental_matrix(calibration: StereoCalibration) -> FloatArray:
 
 
 def epipoles(calibration: StereoCalibration) -> tuple[FloatArray, FloatArray]:
-    """Return the homogeneous epipoles (3,) of the undistorted left and right picture."""
+    """Return the homogeneous epipoles (3,) of the undistorted left and right image."""
     left = calibration.K_left @ calibration.R.T @ calibration.T
     right = calibration.K_right @ calibration.T
     return left / np.linalg.norm(left), right / np.linalg.norm(right)
@@ -50,7 +50,7 @@ def row_aligning_pair(calibration: StereoCalibration) -> Correction:
     Raises
     ------
     CalibrationError
-        If an epipole lies inside its picture: no homography makes its lines parallel.
+        If an epipole lies inside its image: no homography makes its lines parallel.
 
     """
     check_epipoles(calibration)
@@ -64,14 +64,14 @@ def row_aligning_pair(calibration: StereoCalibration) -> Correction:
 
 
 def free_pair(calibration: StereoCalibration) -> Correction:
-    """Return the row-aligning pair that resamples both pictures least, all of eq. 9 free.
+    """Return the row-aligning pair that resamples both images least, all of eq. 9 free.
 
     Depth from its disparities is not metric: use ``metric_rig`` for that.
 
     Raises
     ------
     CalibrationError
-        If an epipole lies inside or close to its picture.
+        If an epipole lies inside or close to its image.
 
     """
     basic = _normalised(row_aligning_pair(calibration), calibration.image_size)
@@ -100,20 +100,20 @@ def check_epipoles(calibration: StereoCalibration) -> None:
     """Raise a CalibrationError if a camera sees the other one (forward motion)."""
     for side, epipole in zip(('left', 'right'), epipoles(calibration), strict=True):
         outline = ImageGrid.of(calibration, side).points_px
-        # inside the bounding box of the picture, written so that e3 = 0 (infinitely far) works
+        # inside the bounding box of the image, written so that e3 = 0 (infinitely far) works
         low, high = outline.min(axis=0), outline.max(axis=0)
         scaled = epipole[:2] * np.sign(epipole[2])
         w = abs(epipole[2])
         if (scaled > low * w).all() and (scaled < high * w).all():
             x, y = epipole[:2] / epipole[2]
             raise CalibrationError(
-                f'the epipole of the {side} picture lies inside it, at ({x:.0f}, {y:.0f}) px: one'
+                f'the epipole of the {side} image lies inside it, at ({x:.0f}, {y:.0f}) px: one'
                 ' camera stands in the view of the other; mount them side by side'
             )
 
 
 def _epipole_to_infinity(e: FloatArray) -> FloatArray:
-    """Return eq. 6 for an epipole in coordinates about the picture's centre, safe for e3 = 0."""
+    """Return eq. 6 for an epipole in coordinates about the image's centre, safe for e3 = 0."""
     e1, e2, e3 = e if e[0] >= 0 else -e
     length = np.hypot(e1, e2)
     return np.array(

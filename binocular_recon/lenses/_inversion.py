@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inversion of functions that grow, and the small matrices that Newton's method needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from binocular_recon.lenses.lens import FloatArray
+
+_STEPS = 80
+# Functions are evaluated this closely to their limit, which may be a pole, as a share of it.
+_INSIDE = 1 - 1e-9
+
+
+def inverse(
+    target: FloatArray,
+    function: Callable[[FloatArray], FloatArray],
+    derivative: Callable[[FloatArray], FloatArray],
+    limit: float,
+) -> FloatArray:
+    """Invert a function that grows from 0 to ``limit``; NaN where it does not reach the target.
+
+    Newton's method, with bisection wherever that leaves the bracket.
+    """
+    low = np.zeros_like(target)
+    high = np.full_like(target, _INSIDE * limit)
+    if math.isinf(limit):
+        high = np.maximum(2 * target, 1.0)
+        for _ in range(_STEPS):
+            high = np.where(function(high) < target, 2 * high, high)
+    reached = function(high) >= target
+    found = np.where(target < high, target, 0.5 * high)
+    last = high
+    for _ in range(_STEPS):
+        off = function(found) - target
+        low, high = np.where(off <= 0, found, low), np.where(off >= 0, found, high)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            step = off / derivative(found)
+        newton = (found - step >= low) & (found - step <= high)
+        # steps that do not shrink would circle an inflection; at rounding level they need not
+        newton &= (np.abs(step) < 0.5 * last) | (np.abs(off) <= 1e-14 * target)
+        following = np.where(newton, found - step, 0.5 * (low + high))
+        if np.array_equal(following, found, equal_nan=True):
+            break
+        found, last = following, np.abs(following - found)
+    return np.where(reached, found, np.nan)
+
+
+def least_root(coefficients: FloatArray) -> float:
+    """Return the least positive root of a polynomial of ascending powers, inf without one."""
+    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(coefficients, 'b'))
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(real.min()) if real.size else math.inf
+
+
+def matrices(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    return np.stack([np.stack([a, b], -1), np.stack([c, d], -1)], -2)
+
+
+def determinant(m: FloatArray) -> FloatArray:
+    value: FloatArray = m[..., 0, 0] * m[..., 1, 1] - m[..., 0, 1] * m[..., 1, 0]
+    return value
+
+
+def solve(m: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Solve 2 x 2 systems; inf or NaN where a matrix is singular."""
+    x = m[..., 1, 1] * rhs[..., 0] - m[..., 0, 1] * rhs[..., 1]
+    y = m[..., 0, 0] * rhs[..., 1] - m[..., 1, 0] * rhs[..., 0]
+    return np.stack([x, y], -1) / determinant(m)[..., None]

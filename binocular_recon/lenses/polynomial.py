@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lens of ``plumb_bob`` and ``rational_polynomial``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from binocular_recon.lenses._inversion import determinant, inverse, least_root, matrices, solve
+from binocular_recon.lenses.lens import FloatArray, Lens
+
+# A ray is exact once it is imaged this closely to its point, as a share of 1 + its distance from
+# the centre: 2e-10 px at a focal length of 2000 px.
+_TOLERANCE = 1e-13
+_NEWTON_STEPS = 30
+# Places on the way from the centre to a ray at which the image must not be folded.
+_WAY = np.linspace(0.125, 1.0, 8)
+# Points this close to the centre are their own rays.
+_CENTRE = 1e-8
+
+
+class PolynomialLens(Lens):
+    """Radial polynomial or rational function, tangential terms, thin prism and tilted sensor.
+
+    Coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y; those that
+    are not given are 0. ``plumb_bob`` stops at k3.
+    """
+
+    def distort(self, rays: FloatArray, D: FloatArray) -> FloatArray:
+        """Return the distorted points (..., 2) of rays (..., 2)."""
+        x, y = rays[..., 0], rays[..., 1]
+        k1, k2, p1, p2, k3, k4, k5, k6 = _padded(D, 8)
+        r2 = x * x + y * y
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        points = np.stack([u, v], axis=-1)
+        if D.size > 8:
+            points = _tilt(points + _prism(r2, D)[0], _sensor(D))
+        return points
+
+    def derivatives(
+        self, rays: FloatArray, D: FloatArray, scale: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return distorted points and their derivatives, with up to 8 coefficients."""
+        x, y = rays[..., 0], rays[..., 1]
+        k1, k2, p1, p2, k3, k4, k5, k6 = _padded(D, 8)
+        r2 = x * x + y * y
+        r4 = r2 * r2
+        inverse = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * inverse
+        slope = inverse * (
+            k1 + 2 * k2 * r2 + 3 * k3 * r4 - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)
+        )
+        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        u_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        v_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        factors = np.stack([inverse * r2, inverse * r4, inverse * r2 * r4], -1)
+        factors = np.concatenate([factors, -radial[..., None] * factors], -1)
+        a, b = scale
+        by_coefficient = np.empty((*x.shape, 2, 8))
+        for row, (factor, value) in enumerate(((a, x), (b, y))):
+            by_coefficient[..., row, [0, 1, 4, 5, 6, 7]] = factor * value[..., None] * factors
+        by_coefficient[..., 0, 2] = a * 2 * x * y
+        by_coefficient[..., 0, 3] = a * (r2 + 2 * x * x)
+        by_coefficient[..., 1, 2] = b * (r2 + 2 * y * y)
+        by_coefficient[..., 1, 3] = b * 2 * x * y
+        return np.stack([u, v], axis=-1), matrices(u_x, mixed, mixed, v_y), by_coefficient
+
+    def undistort(self, points: FloatArray, D: FloatArray) -> FloatArray:
+        """Return the rays (..., 2) that are imaged at distorted points (..., 2).
+
+        Newton's method, from the ray that is exact without tangential terms.
+        """
+        straight = points if D.size <= 12 else _tilt(points, _sensor(D, back=True))
+        target = straight.reshape(-1, 2)
+        limit = self._fold(D)
+        with np.errstate(all='ignore'):  # points without a ray end as NaN
+            rays = target * _radial_start(target, D, limit)[:, None]
+            for _ in range(_NEWTON_STEPS):
+                value, slopes = self._sloped(rays, D)
+                off = target - value
+                if not (np.abs(off) > _TOLERANCE / 100).any():
+                    break
+                rays = rays + solve(slopes, off)
+            value, _ = self._sloped(rays, D)
+            distance = np.linalg.norm(target, axis=-1)
+            exact = np.linalg.norm(target - value, axis=-1) <= _TOLERANCE * (1 + distance)
+            way = self._sloped(rays[:, None] * _WAY[:, None], D)[1]
+            unfolded = (determinant(way) > 0).all(axis=-1)
+            good = exact & unfolded & (np.linalg.norm(rays, axis=-1) < limit)
+        return np.where(good[:, None], rays, np.nan).reshape(points.shape)
+
+    def _sloped(self, rays: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return distorted points and their derivatives by the ray, on a sensor without tilt."""
+        value, slopes, _ = self.derivatives(rays, D[:8], np.ones(2))
+        if D.size > 8:
+            offset, by_r2 = _prism(np.sum(rays * rays, axis=-1), D)
+            value = value + offset
+            slopes = slopes + by_r2[..., :, None] * 2 * rays[..., None, :]
+        return value, slopes
+
+    @staticmethod
+    def _fold(D: FloatArray) -> float:
+        """Return the least radius at which the radial part stops growing or has a pole."""
+        k1, k2, _, _, k3, k4, k5, k6 = _padded(D, 8)
+        above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])
+        s = Polynomial([0, 1])
+        growth = (above + 2 * s * above.deriv()) * below - 2 * s * above * below.deriv()
+        return math.sqrt(
+            min(
+                least_root(np.asarray(growth.coef, np.float64)),
+                least_root(np.array([1, k4, k5, k6])),
+            )
+        )
+
+
+def _padded(D: FloatArray, count: int) -> FloatArray:
+    """Return the first coefficients, those that are not given as 0."""
+    return np.pad(D[:count], (0, count - min(count, D.size)))
+
+
+def _prism(r2: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the offset (..., 2) of a thin prism and its derivative by r squared."""
+    s = D[8:12].reshape(2, 2)
+    r2 = r2[..., None]
+    return r2 * (s[:, 0] + r2 * s[:, 1]), s[:, 0] + 2 * r2 * s[:, 1]
+
+
+def _sensor(D: FloatArray, *, back: bool = False) -> FloatArray:
+    """Return the homography (3, 3) of a sensor tilted about x and y, or its inverse."""
+    tau_x, tau_y = _padded(D, 14)[12:]
+    cx, sx, cy, sy = math.cos(tau_x), math.sin(tau_x), math.cos(tau_y), math.sin(tau_y)
+    about_x, about_y = (
+        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]],
+        [[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]],
+    )
+    turn = np.array(about_y) @ about_x
+    flat = [[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]]
+    homography = np.asarray(flat @ turn, np.float64)
+    return np.asarray(np.linalg.inv(homography), np.float64) if back else homography
+
+
+def _tilt(points: FloatArray, homography: FloatArray) -> FloatArray:
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    tilted: FloatArray = mapped[..., :2] / mapped[..., 2:]
+    return tilted
+
+
+def _radial_start(points: FloatArray, D: FloatArray, limit: float) -> FloatArray:
+    """Return the factor on distorted points (N, 2) that undoes the radial part, (N,)."""
+    k1, k2, _, _, k3, k4, k5, k6 = _padded(D, 8)
+    above = Polynomial([0, 1, 0, k1, 0, k2, 0, k3])
+    below = Polynomial([1, 0, k4, 0, k5, 0, k6])
+
+    def value(r: FloatArray) -> FloatArray:
+        return np.asarray(above(r) / below(r))
+
+    def slope(r: FloatArray) -> FloatArray:
+        return np.asarray((above.deriv()(r) - value(r) * below.deriv()(r)) / below(r))
+
+    distance = np.linalg.norm(points, axis=-1)
+    radius = inverse(distance, value, slope, limit)
+    if math.isfinite(limit):  # tangential terms may bring a point into reach
+        radius = np.where(np.isnan(radius) & np.isfinite(distance), 0.99 * limit, radius)
+    return np.where(distance < _CENTRE, 1.0, radius / np.where(distance < _CENTRE, 1.0, distance))
