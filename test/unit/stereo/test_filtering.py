@@ -12,57 +12,18 @@ import numpy as np
 import pytest
 
 from binocular_recon.config import ChainConfig, FilterConfig
-from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage
-from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.filtering.wls_filter import (
-    LEAST_SIGMA_PX,
     LIMIT_MARGIN_PX,
     DisparityFilter,
-    Filtered,
-    filter_disparity,
 )
 from binocular_recon.stereo.holes.completion import complete
 from test import naive_wls
+from test.unit.stereo.filter_scene import LIMITS_PX, NAN, PLAIN, difference, run, scene
 
 pytestmark = pytest.mark.kernel
 
 REFERENCE = np.load(Path(__file__).parents[2] / 'data' / 'wls.npz')
-LIMITS_PX = (0.0, 64.0)
-# eq. 13 as it stands
-PLAIN = FilterConfig(wls_complete=False, wls_disparity_steps=0.0, wls_tolerance_px=2e-4)
-NAN = np.float32(np.nan)
-
-
-def scene(
-    seed: int, shape: tuple[int, int] = (20, 28)
-) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """Return disparity with holes, confidence and guide of a box before a wall."""
-    rng = np.random.default_rng(seed)
-    disparity = np.full(shape, 12.0)
-    guide = np.full(shape, 90.0)
-    disparity[5:15, 8:18], guide[5:15, 8:18] = 30.0, 180.0
-    disparity += rng.normal(0, 0.2, shape)
-    guide += rng.normal(0, 4, shape)
-    disparity[rng.random(shape) < 0.2] = np.nan
-    confidence = rng.uniform(0.1, 1, shape)
-    return disparity.astype(np.float32), confidence.astype(np.float32), guide.astype(np.float32)
-
-
-def run(
-    disparity: FloatImage,
-    confidence: FloatImage,
-    guide: FloatImage,
-    config: FilterConfig = PLAIN,
-    **options: Any,
-) -> Filtered:
-    return filter_disparity(
-        disparity, confidence, guide, config, **{'limits_px': LIMITS_PX, **options}
-    )
-
-
-def difference(a: Filtered, b: Filtered) -> float:
-    return float(np.abs(a.disparity_px - b.disparity_px).max())
 
 
 def reference(name: str) -> FloatImage:
@@ -282,66 +243,3 @@ def test_frames_from_two_threads() -> None:
         np.testing.assert_array_equal(
             result.disparity_px, run(*frame, config=FilterConfig()).disparity_px
         )
-
-
-def test_sigma_follows_match_scatter_and_hole() -> None:
-    rng = np.random.default_rng(10)
-    shape = (60, 90)
-    guide = np.full(shape, 100, np.float32)
-    disparity = np.full(shape, 20, np.float32)
-    sigma = np.full(shape, 0.1, np.float32)
-    sigma[:, 45:] = 0.4
-    disparity += (sigma * rng.normal(size=shape)).astype(np.float32)
-    disparity[20:40, 60:80] = np.nan
-    result = run(disparity, confidence_from_sigma(sigma), guide, FilterConfig()).sigma_px
-    steady, noisy, hole = result[10:50, 5:35], result[5:15, 60:80], result[28:32, 68:72]
-    assert 0.1 < np.median(steady) < 0.25
-    assert 0.4 < np.median(noisy) < 0.8
-    assert np.median(hole) > 1
-    assert hole.min() > 1.5 * result[15:19, 65:75].max()
-    assert (result >= LEAST_SIGMA_PX).all()
-
-
-def test_whole_pixels_are_not_more_certain_than_their_rounding() -> None:
-    """A plane between 20.0 and 20.45 px, rounded to 20: the scatter does not show the error."""
-    ones, guide = np.ones((30, 40), np.float32), np.full((30, 40), 100, np.float32)
-    plane = (20 + 0.45 * np.arange(40) / 40 * ones).astype(np.float32)
-    whole = run(np.rint(plane), ones, guide, FilterConfig())
-    normalised = (whole.disparity_px - plane) / whole.sigma_px
-    assert 0.7 < np.sqrt(np.mean(normalised**2)) < 1.4
-    assert run(plane, ones, guide, FilterConfig()).sigma_px.max() < 0.2
-    shifted = np.rint(plane) - np.float32(32.778) + np.float32(32.778)  # through a message
-    assert run(shifted, ones, guide, FilterConfig()).sigma_px.min() > 0.28
-
-
-def test_a_hole_between_far_and_near_is_less_certain() -> None:
-    disparity = np.full((30, 60), 10, np.float32)
-    ones, guide = np.ones_like(disparity), np.full_like(disparity, 100)
-    disparity[:, 20:30] = np.nan
-    even = run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25]
-    disparity[:, 30:] = 30
-    assert run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25] > even + 2
-
-
-def test_nothing_to_filter() -> None:
-    nothing = np.full((4, 5), NAN)
-    message = r'no pixel has a disparity within 0\.\.64 px and a confidence above 0; check'
-    with pytest.raises(ImageError, match=message):
-        run(nothing, np.ones_like(nothing), nothing)
-    with pytest.raises(ImageError, match=message):
-        run(np.ones_like(nothing), np.zeros_like(nothing), nothing)
-
-
-@pytest.mark.parametrize('name', ['confidence', 'guide', 'initial'])
-def test_sizes_differ(name: str) -> None:
-    image = np.ones((4, 5), np.float32)
-    images = {'confidence': image, 'guide': image, 'initial': image, name: image.T}
-    with pytest.raises(ImageError, match=rf'disparity is \(4, 5\) and {name} \(5, 4\)'):
-        run(image, images['confidence'], images['guide'], initial=images['initial'])
-
-
-@pytest.mark.parametrize('shape', [(0, 5), (5,), (2, 3, 1)])
-def test_not_an_image(shape: tuple[int, ...]) -> None:
-    image = np.ones(shape, np.float32)
-    with pytest.raises(ImageError, match='disparity must be'):
-        run(image, image, image)

@@ -5,48 +5,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from binocular_recon import _jit
-from binocular_recon.config import ChainConfig, MatchConfig
+from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage
-from binocular_recon.options import OptionValue
 from binocular_recon.stereo.confidence import confidence_from_sigma, sigma_from_confidence
 from binocular_recon.stereo.matching import match, ncc_scores
-from binocular_recon.stereo.matching import matcher as matching
 from binocular_recon.stereo.matching.refinement import drop_speckles
 from test import naive_ncc
+from test.unit.stereo.matching_pairs import both_ways, config, shifted_pair, texture
 
 pytestmark = pytest.mark.kernel
-both_ways = pytest.mark.parametrize('semi_global', [False, True])
 REFERENCE = Path(__file__).parents[2] / 'data' / 'ncc.npz'
-
-
-def config(**options: OptionValue) -> MatchConfig:
-    """Return whole-range defaults for small images."""
-    return ChainConfig.preset('default', **{'disparity_range': 16, **options}).match
-
-
-def texture(height: int, width: int, seed: int = 0, blur: float = 1.0) -> FloatImage:
-    """Return a random image in whole grey levels, at least 16 within 0..255."""
-    noise = np.random.default_rng(seed).normal(size=(height, width))
-    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
-    levels: FloatImage = np.rint(128 + 40 * smooth / smooth.std()).clip(0, 255).astype(np.float32)
-    return levels
-
-
-def shifted_pair(
-    height: int, width: int, disparity: float, seed: int = 0
-) -> tuple[FloatImage, FloatImage]:
-    """Return a pair of constant disparity; whole ones exact, others by a Fourier shift."""
-    whole = texture(height, width + 128, seed, blur=1.5)
-    frequency = np.fft.fftfreq(whole.shape[1])
-    spectrum = np.fft.fft(whole, axis=1) * np.exp(2j * np.pi * frequency * disparity)
-    moved = np.fft.ifft(spectrum, axis=1).real.astype(np.float32)
-    return whole[:, 64:-64].copy(), moved[:, 64:-64].copy()
 
 
 def test_scores_equal_the_reference() -> None:
@@ -225,48 +196,6 @@ def test_errors_say_what_and_why() -> None:
         match(good, good * 257, config())
 
 
-@pytest.mark.large
-@both_ways
-def test_results_do_not_depend_on_threads(
-    monkeypatch: pytest.MonkeyPatch, semi_global: bool
-) -> None:
-    left, right = shifted_pair(130, 90, 3.4)
-    options = config(semi_global=semi_global)
-    monkeypatch.setattr(_jit, 'thread_count', lambda: 3)
-    many = match(left, right, options)
-    monkeypatch.setattr(_jit, 'thread_count', lambda: 1)
-    one = match(left, right, options)
-    np.testing.assert_array_equal(many.disparity_px, one.disparity_px)
-    np.testing.assert_array_equal(many.confidence, one.confidence)
-
-
-@pytest.mark.large
-@both_ways
-def test_exposure_does_not_matter(semi_global: bool) -> None:
-    left, right = shifted_pair(60, 100, 6.5)
-    options = config(semi_global=semi_global)
-    plain = match(left, right, options)
-    darker = match(left, right * np.float32(0.6) + 20, options)
-    both = np.isfinite(plain.disparity_px) & np.isfinite(darker.disparity_px)
-    assert both.mean() > 0.6
-    change = np.abs(plain.disparity_px - darker.disparity_px)[both]
-    assert np.quantile(change, 0.99) < 0.04  # levels are rounded to a quarter
-
-
-@pytest.mark.large
-@pytest.mark.parametrize('side', [0, 1])
-def test_less_contrast_of_one_image_loses_no_texture(side: int) -> None:
-    # just above the threshold
-    pair = [image / np.float32(45) + 100 for image in shifted_pair(60, 100, 6.5)]
-    seen = []
-    for share in (1.0, 0.6):
-        pair[side] = pair[side] * np.float32(share)
-        options = config(semi_global=True, half_resolution=False, speckle_size=0)
-        seen.append(np.isfinite(match(pair[0], pair[1], options).disparity_px).mean())
-    assert 0.3 < seen[0] < 0.9
-    assert abs(seen[1] - seen[0]) < 0.03
-
-
 def test_speckles_are_removed() -> None:
     disparity = np.full((40, 60), 6.25, np.float32)
     disparity[5:10, 5:10] = 12.0
@@ -299,41 +228,3 @@ def test_whole_pixels_have_unit_confidence() -> None:
     found = match(left, right, ChainConfig.preset('paper', disparity_range=16).match)
     measured = np.isfinite(found.disparity_px)
     np.testing.assert_array_equal(found.confidence, measured.astype(np.float32))
-
-
-def test_crops_do_not_change_the_local_match() -> None:
-    left, right = shifted_pair(90, 120, 5.4)  # not whole levels: scores of 16-bit images
-    options = config(semi_global=False, correlation_window_size=7)
-    whole = matching._winner_takes_all(left, right, options)[0]
-    part = matching._winner_takes_all(left[13:71, 17:97], right[13:71, 17:97], options)[0]
-    # the radius of a window from each border, and the whole search range from both sides
-    np.testing.assert_array_equal(part[3:-3, 19:-19], whole[16:68, 36:78])
-    scores = ncc_scores(left, right, options)[16:68, 36:78]
-    np.testing.assert_array_equal(
-        ncc_scores(left[13:71, 17:97], right[13:71, 17:97], options)[3:-3, 19:-19], scores
-    )
-
-
-@pytest.mark.parametrize(
-    # grey levels of texture
-    ('threshold', 'contrast', 'limit_px'),
-    [(0.0, 0.1, 0.1), (0.5, 1.0, 0.025)],
-)
-@pytest.mark.parametrize('preset', ['fast', 'default'])
-def test_16_bits_are_kept(preset: str, threshold: float, contrast: float, limit_px: float) -> None:
-    left, right = shifted_pair(60, 100, 6.3)
-    options = ChainConfig.preset(
-        preset, disparity_range=16, correlation_window_size=9, texture_threshold=threshold
-    ).match
-    scale = np.float32(contrast / left.std())
-    left, right = (
-        (np.rint((level * scale + 100) * 257) / 257).astype(np.float32) for level in (left, right)
-    )
-    error = match(left, right, options).disparity_px[10:-10, 30:-10] - 6.3
-    assert np.sqrt(np.nanmean(error**2)) < limit_px
-    assert np.isfinite(error).mean() > 0.95
-
-
-def test_step_is_one_pixel_without_subpixel() -> None:
-    assert matching.disparity_step_px(config()) == matching.SUBPIXEL_STEP_PX
-    assert matching.disparity_step_px(config(subpixel=False)) == 1.0
