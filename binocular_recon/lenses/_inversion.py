@@ -10,7 +10,7 @@ import numpy as np
 
 from binocular_recon.lenses.lens import FloatArray
 
-_STEPS = 80
+_STEPS, _ROUNDING = 80, 4e-16
 # Functions are evaluated this closely to their limit, which may be a pole, as a share of it.
 _INSIDE = 1 - 1e-9
 
@@ -30,8 +30,11 @@ def inverse(
     if math.isinf(limit):
         high = np.maximum(2 * target, 1.0)
         for _ in range(_STEPS):
-            high = np.where(function(high) < target, 2 * high, high)
-    reached = function(high) >= target
+            short = function(high) < target
+            if not short.any():
+                break
+            high = np.where(short, 2 * high, high)
+    target = np.where(function(high) >= target, target, np.nan)
     found = np.where(target < high, target, 0.5 * high)
     last = high
     for _ in range(_STEPS):
@@ -43,15 +46,18 @@ def inverse(
         # steps that do not shrink would circle an inflection; at rounding level they need not
         newton &= (np.abs(step) < 0.5 * last) | (np.abs(off) <= 1e-14 * target)
         following = np.where(newton, found - step, 0.5 * (low + high))
-        if np.array_equal(following, found, equal_nan=True):
-            break
         found, last = following, np.abs(following - found)
-    return np.where(reached, found, np.nan)
+        if not (last > _ROUNDING * found).any():
+            break
+    return np.where(np.isnan(target), np.nan, found)
 
 
 def least_root(coefficients: FloatArray) -> float:
     """Return the least positive root of a polynomial of ascending powers, inf without one."""
-    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(coefficients, 'b'))
+    trimmed = np.trim_zeros(coefficients, 'b')
+    if trimmed.size < 2:
+        return math.inf
+    roots = np.polynomial.polynomial.polyroots(trimmed)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min()) if real.size else math.inf
 

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
 
 from binocular_recon.lenses._inversion import inverse, least_root, matrices
@@ -56,8 +55,15 @@ class EquidistantLens(Lens):
         distance = np.linalg.norm(points, axis=-1)
         growth = _angle_slopes(D)
         limit = min(self.LARGEST_ANGLE, math.sqrt(least_root(growth[::2])))
-        angle = Polynomial(_angle_coefficients(D))
-        theta = inverse(distance, angle, Polynomial(growth), limit)
+        angles = _angle_coefficients(D)
+
+        def value(theta: FloatArray) -> FloatArray:
+            return np.asarray(polyval(theta, angles), np.float64)
+
+        def slope(theta: FloatArray) -> FloatArray:
+            return np.asarray(polyval(theta, growth), np.float64)
+
+        theta = inverse(distance, value, slope, limit)
         near = distance < _AXIS
         stretch = np.where(near, 1.0, np.tan(theta) / np.where(near, 1.0, distance))
         rays: FloatArray = points * stretch[..., None]

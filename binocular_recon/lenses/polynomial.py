@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from binocular_recon.lenses._inversion import determinant, inverse, least_root, matrices, solve
 from binocular_recon.lenses.lens import FloatArray, Lens
@@ -46,20 +45,9 @@ class PolynomialLens(Lens):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return distorted points and their derivatives, with up to 8 coefficients."""
         x, y = rays[..., 0], rays[..., 1]
-        k1, k2, p1, p2, k3, k4, k5, k6 = _padded(D, 8)
         r2 = x * x + y * y
-        r4 = r2 * r2
-        inverse = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * inverse
-        slope = inverse * (
-            k1 + 2 * k2 * r2 + 3 * k3 * r4 - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)
-        )
-        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        u_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        v_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        factors = np.stack([inverse * r2, inverse * r4, inverse * r2 * r4], -1)
+        inverse, radial, points, by_ray = _radial_and_tangential(x, y, r2, D)
+        factors = np.stack([inverse * r2, inverse * (r2 * r2), inverse * r2 * (r2 * r2)], -1)
         factors = np.concatenate([factors, -radial[..., None] * factors], -1)
         a, b = scale
         by_coefficient = np.empty((*x.shape, 2, 8))
@@ -69,59 +57,87 @@ class PolynomialLens(Lens):
         by_coefficient[..., 0, 3] = a * (r2 + 2 * x * x)
         by_coefficient[..., 1, 2] = b * (r2 + 2 * y * y)
         by_coefficient[..., 1, 3] = b * 2 * x * y
-        return np.stack([u, v], axis=-1), matrices(u_x, mixed, mixed, v_y), by_coefficient
+        return points, by_ray, by_coefficient
 
     def undistort(self, points: FloatArray, D: FloatArray) -> FloatArray:
         """Return the rays (..., 2) that are imaged at distorted points (..., 2).
 
-        Newton's method, from the ray that is exact without tangential terms.
+        Newton's method from the points themselves; where that fails, from the ray that is exact
+        without tangential terms.
         """
         straight = points if D.size <= 12 else _tilt(points, _sensor(D, back=True))
         target = straight.reshape(-1, 2)
-        limit = self._fold(D)
+        limit = _fold(D)
         with np.errstate(all='ignore'):  # points without a ray end as NaN
-            rays = target * _radial_start(target, D, limit)[:, None]
-            for _ in range(_NEWTON_STEPS):
-                value, slopes = self._sloped(rays, D)
-                off = target - value
-                if not (np.abs(off) > _TOLERANCE / 100).any():
-                    break
-                rays = rays + solve(slopes, off)
-            value, _ = self._sloped(rays, D)
-            distance = np.linalg.norm(target, axis=-1)
-            exact = np.linalg.norm(target - value, axis=-1) <= _TOLERANCE * (1 + distance)
-            way = self._sloped(rays[:, None] * _WAY[:, None], D)[1]
-            unfolded = (determinant(way) > 0).all(axis=-1)
-            good = exact & unfolded & (np.linalg.norm(rays, axis=-1) < limit)
-        return np.where(good[:, None], rays, np.nan).reshape(points.shape)
+            rays = _newton(target, target, D, limit)
+            failed = np.isnan(rays[:, 0]) & np.isfinite(target).all(axis=-1)
+            if failed.any():
+                start = target[failed] * _radial_start(target[failed], D, limit)[:, None]
+                rays[failed] = _newton(target[failed], start, D, limit)
+        return rays.reshape(points.shape)
 
-    def _sloped(self, rays: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return distorted points and their derivatives by the ray, on a sensor without tilt."""
-        value, slopes, _ = self.derivatives(rays, D[:8], np.ones(2))
-        if D.size > 8:
-            offset, by_r2 = _prism(np.sum(rays * rays, axis=-1), D)
-            value = value + offset
-            slopes = slopes + by_r2[..., :, None] * 2 * rays[..., None, :]
-        return value, slopes
 
-    @staticmethod
-    def _fold(D: FloatArray) -> float:
-        """Return the least radius at which the radial part stops growing or has a pole."""
-        k1, k2, _, _, k3, k4, k5, k6 = _padded(D, 8)
-        above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])
-        s = Polynomial([0, 1])
-        growth = (above + 2 * s * above.deriv()) * below - 2 * s * above * below.deriv()
-        return math.sqrt(
-            min(
-                least_root(np.asarray(growth.coef, np.float64)),
-                least_root(np.array([1, k4, k5, k6])),
-            )
-        )
+def _newton(target: FloatArray, start: FloatArray, D: FloatArray, limit: float) -> FloatArray:
+    """Return the rays (N, 2) imaged at the target on a sensor without tilt, NaN = not found."""
+    rays = start
+    tolerance = _TOLERANCE * (1 + np.abs(target).max(axis=-1, initial=0.0))
+    for _ in range(_NEWTON_STEPS):
+        value, slopes = _sloped(rays, D)
+        off = target - value
+        if not (np.abs(off).max(axis=-1) > 0.01 * tolerance).any():
+            break
+        rays = rays + solve(slopes, off)
+    exact = np.abs(target - _sloped(rays, D)[0]).max(axis=-1) <= tolerance
+    way = _sloped(rays[:, None] * _WAY[:, None], D)[1]
+    unfolded = (determinant(way) > 0).all(axis=-1)
+    good = exact & unfolded & (np.linalg.norm(rays, axis=-1) < limit)
+    return np.where(good[:, None], rays, np.nan)
+
+
+def _sloped(rays: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return distorted points and their derivatives by the ray, on a sensor without tilt."""
+    x, y = rays[..., 0], rays[..., 1]
+    r2 = x * x + y * y
+    _, _, value, slopes = _radial_and_tangential(x, y, r2, D)
+    if D.size > 8:
+        offset, by_r2 = _prism(r2, D)
+        value = value + offset
+        slopes = slopes + by_r2[..., :, None] * 2 * rays[..., None, :]
+    return value, slopes
+
+
+def _radial_and_tangential(
+    x: FloatArray, y: FloatArray, r2: FloatArray, D: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return 1 / the denominator, the radial factor, the points and their derivatives."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = _padded(D, 8)
+    r4 = r2 * r2
+    inverse = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * inverse
+    slope = inverse * (k1 + 2 * k2 * r2 + 3 * k3 * r4 - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4))
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    u_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    v_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    return inverse, radial, np.stack([u, v], axis=-1), matrices(u_x, mixed, mixed, v_y)
+
+
+def _fold(D: FloatArray) -> float:
+    """Return the least radius at which the radial part stops growing or has a pole."""
+    k1, k2, _, _, k3, k4, k5, k6 = _padded(D, 8)
+    above, below = np.array([1, k1, k2, k3]), np.array([1, k4, k5, k6])
+    powers = 2 * np.arange(4)
+    # of r above(r^2) / below(r^2), times below^2
+    growth = np.convolve(above * (1 + powers), below) - np.convolve(above, powers * below)
+    return math.sqrt(min(least_root(growth), least_root(below)))
 
 
 def _padded(D: FloatArray, count: int) -> FloatArray:
     """Return the first coefficients, those that are not given as 0."""
-    return np.pad(D[:count], (0, count - min(count, D.size)))
+    padded = np.zeros(count)
+    padded[: D.size] = D[:count]
+    return padded
 
 
 def _prism(r2: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -153,15 +169,18 @@ def _tilt(points: FloatArray, homography: FloatArray) -> FloatArray:
 
 def _radial_start(points: FloatArray, D: FloatArray, limit: float) -> FloatArray:
     """Return the factor on distorted points (N, 2) that undoes the radial part, (N,)."""
-    k1, k2, _, _, k3, k4, k5, k6 = _padded(D, 8)
-    above = Polynomial([0, 1, 0, k1, 0, k2, 0, k3])
-    below = Polynomial([1, 0, k4, 0, k5, 0, k6])
+    radial = _padded(D, 8)
+    radial[2:4] = 0.0
+
+    def along_x(r: FloatArray) -> tuple[FloatArray, FloatArray]:
+        _, _, value, slopes = _radial_and_tangential(r, np.zeros_like(r), r * r, radial)
+        return value[..., 0], slopes[..., 0, 0]
 
     def value(r: FloatArray) -> FloatArray:
-        return np.asarray(above(r) / below(r))
+        return along_x(r)[0]
 
     def slope(r: FloatArray) -> FloatArray:
-        return np.asarray((above.deriv()(r) - value(r) * below.deriv()(r)) / below(r))
+        return along_x(r)[1]
 
     distance = np.linalg.norm(points, axis=-1)
     radius = inverse(distance, value, slope, limit)
