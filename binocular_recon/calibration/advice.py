@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which board to capture next: the one whose marks would tell most about depth.
+"""Which board to capture next: the one whose marks would improve depth most.
 
 The information of a board about the calibration does not depend on what is measured, only on
 where it stands. So boards all over the view are tried out in advance, and the one that lowers

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration found: the rig, its errors, and the three methods side by side."""
+"""The result of a calibration: the rig, its errors, and the three methods side by side."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _UNITS = {'f': 'px', 'c': 'px', 'k': '', 'p': '', 't': 'rad', 'T': 'm'}
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What one of the three calibrations makes of the same marks.
+    """The result of one of the three methods on the same marks.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a finished adjustment may be relied on, and what its user should know."""
+"""Checks of a finished adjustment, and warnings for its user."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DISPLACEMENT_SHARE, COMMON_SHARE = 0.05, 0.03
 MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
 # Rods and marks found on fewer boards than this share of the usual number are pointed out.
 RARE_SHARE = 0.4
-# Depth that is known worse than this share of itself amid the boards is not calibrated.
+# Depth at the boards whose sigma exceeds this share of it is not calibrated.
 DEPTH_LIMIT = 0.1
 
 
@@ -38,7 +38,7 @@ def check_result(found: Estimate) -> None:
 
 
 def warnings_of(found: Estimate) -> tuple[str, ...]:
-    """Return what the user should know, in sentences."""
+    """Return warnings for the user, one sentence each."""
     warnings = []
     problem = found.problem
     if len(found.boards) < RECOMMENDED_BOARDS:

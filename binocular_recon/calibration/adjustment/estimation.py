@@ -157,8 +157,8 @@ def estimate(problem: Problem, state: State) -> Estimate:
         fit = judge(problem, given[boards], state)
         settled = False
     for board in bad_boards:
-        if told := fault(state.calibration, problem.target.nominal_m, given[board]):
-            bad_boards[board] = told
+        if contradiction := fault(state.calibration, problem.target.nominal_m, given[board]):
+            bad_boards[board] = contradiction
     covariance, _ = normal_equations(problem, state).covariance()
     return Estimate(
         problem=problem,

@@ -149,7 +149,7 @@ def test_the_bound_is_that_of_dense_numerical_derivatives() -> None:
 
 
 @pytest.mark.parametrize('placement_m', [0.0, 0.005])
-def test_depth_is_as_good_as_theory_allows(placement_m: float) -> None:
+def test_depth_is_close_to_the_cramer_rao_bound(placement_m: float) -> None:
     """A small part of ``calibrate --self-check``, with its limits."""
     (row,) = check_accuracy(sets=6, draws=1, placements_m=(placement_m,))
     assert row.bound_ratio < 1.15

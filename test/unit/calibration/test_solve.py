@@ -133,7 +133,7 @@ def test_weak_evidence_does_not_change_the_model() -> None:
     assert choose_model(evidence(-20.0, -60.0)) == 'rational'
 
 
-def test_an_unsettled_adjustment_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unsettled_adjustment_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rounds run out: state and problem still belong together."""
     monkeypatch.setattr(estimation, '_ROUNDS', -10)
     result = calibrate(captures_of(), board_of(0.005), SIZE)
