@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimation of a calibration from marks, and how certain it is.
 
-`planar` is Zhang's method per camera, the start (`fisheye_start` for fisheye lenses); `bundle_adjustment` adjusts both cameras, all
-boards and every rod together (`linearisation`: predictions and derivatives); `estimation` adds
-what must be found out on the way: noise, outliers, bad boards; `distortion` chooses the lens
-terms; `uncertainty` says what the covariance means for depth.
+`planar` is Zhang's method per camera, the start (`fisheye_start` for fisheye lenses);
+`bundle_adjustment` adjusts both cameras, all boards and every rod together (`linearisation`:
+predictions and derivatives); `estimation` adds what must be found out on the way: noise,
+outliers, bad boards; `distortion` chooses the lens terms; `uncertainty` says what the covariance
+means for depth.
 """
 
 from typing import TYPE_CHECKING
