@@ -69,13 +69,7 @@ def mark_empty(grey: FloatImage) -> None:
     black = grey == 0
     border = np.concatenate([black[0], black[-1], black[:, 0], black[:, -1]])
     if border.any() and not black.all():
-        _, labels = cv2.connectedComponents(black.astype(np.uint8), connectivity=4)
-        touching = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-        padding = np.zeros(labels.max() + 1, np.bool_)
-        padding[touching] = True
-        padding &= np.bincount(labels.ravel()) >= LEAST_PADDING
-        padding[0] = False  # label 0 is all that is not black
-        grey[padding[labels]] = np.nan
+        grey[connected_to_border(black, LEAST_PADDING)] = np.nan
     height, width = grey.shape
     for corner in ((0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)):
         level = grey[corner[::-1]]
@@ -90,6 +84,21 @@ def mark_empty(grey: FloatImage) -> None:
         blank = np.fmin.reduce(lines, axis=1) == np.fmax.reduce(lines, axis=1)
         if blank.any() and not blank.all():
             lines[blank] = np.nan
+
+
+def connected_to_border(region: Mask, least_pixels: int = 1) -> Mask:
+    """Return the 4-connected parts of a region, (H, W) bool, that reach the image border.
+
+    Parts of fewer than ``least_pixels`` are left out.
+    """
+    _, labels = cv2.connectedComponents(region.astype(np.uint8), connectivity=4)
+    reaching = np.zeros(labels.max() + 1, np.bool_)
+    reaching[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])] = True
+    if least_pixels > 1:
+        reaching &= np.bincount(labels.ravel()) >= least_pixels
+    reaching[0] = False  # label 0 is all that is outside the region
+    connected: Mask = reaching[labels]
+    return connected
 
 
 def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:

@@ -26,7 +26,12 @@ from binocular_recon.io.bags.stereo_topics import (
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.stereo.pipeline import Chain, warm_up
 from binocular_recon.stereo.search_range import SearchRange, range_of_depths
-from binocular_recon.stereo.validity import FEW_MATCHED, LEAST_MATCHED, MOST_OUTSIDE, REMEDY
+from binocular_recon.stereo.validity import (
+    LEAST_MATCHED,
+    MOST_OUTSIDE,
+    REMEDY,
+    few_matched_warning,
+)
 
 # Loading compiled kernels takes less.
 _LONG_S = 5.0
@@ -138,8 +143,9 @@ def reconstruct_bag(
     sentence = results.sentence()
     if stereo.unpaired:
         sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
-    if results.frames and results.matched < FEW_MATCHED:
-        report(f'warning: only {results.matched:.0%} of the pixels could be matched; {REMEDY}')
+    warning = few_matched_warning(results.matched)
+    if results.frames and warning:
+        report(f'warning: {warning}')
     return sentence
 
 

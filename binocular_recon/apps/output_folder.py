@@ -22,7 +22,6 @@ from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
-from binocular_recon.stereo.validity import Validity
 
 
 class ResultFolder:
@@ -94,7 +93,7 @@ class ResultFolder:
             'index': index,
             'stamp_ns': stamp_ns,
             'density': float(np.isfinite(result.disparity_px).mean()),
-            'matched': float(np.mean((result.validity & Validity.MEASURED) > 0)),
+            'matched': reconstruction.filtered.measured_share,
             'disparity_px': {
                 'min': reconstruction.range.search.min_disparity,
                 'max': reconstruction.range.search.last,

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
     if args.heat_map:
         write_image_file(args.heat_map, heat_map_with_scale(disparity_px, 'px'))
     write_image_file(_beside(args.output, '_validity.png'), filtered.validity)
-    matched = float(np.isfinite(found.matched.disparity_px).mean())
+    matched = found.matched.matched_share
     low, median, high = np.nanquantile(disparity_px, [0, 0.5, 1])
     print(
         f'{args.output}: {matched:.1%} of the pixels'
@@ -86,10 +86,10 @@ def run(args: argparse.Namespace) -> None:
 def _judge(found: DisparityEstimate, matched: float) -> None:
     """Warn of a result that may be wrong; raise an ImageError if most of it must be."""
     from binocular_recon.stereo.validity import (
-        FEW_MATCHED,
         LEAST_MATCHED,
         MOST_OUTSIDE,
         REMEDY,
+        few_matched_warning,
     )
 
     if found.range.outside_share > MOST_OUTSIDE:
@@ -98,8 +98,9 @@ def _judge(found: DisparityEstimate, matched: float) -> None:
         raise ImageError(f'only {matched:.1%} of the pixels could be matched; {REMEDY}')
     if found.range.warning:
         note(f'warning: {found.range.warning}')
-    if matched < FEW_MATCHED:
-        note(f'warning: only {matched:.0%} of the pixels could be matched; {REMEDY}')
+    warning = few_matched_warning(matched)
+    if warning:
+        note(f'warning: {warning}')
 
 
 def _beside(path: Path, ending: str) -> Path:

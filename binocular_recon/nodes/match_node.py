@@ -19,11 +19,11 @@ from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
-from binocular_recon.stereo.matching import Match, disparity_step_px, match
+from binocular_recon.stereo.matching import disparity_step_px, match
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.search_range import check_order, range_of_depths
-from binocular_recon.stereo.validity import FEW_MATCHED, REMEDY
+from binocular_recon.stereo.validity import FEW_MATCHED, few_matched_warning
 
 # Share of white pixels above which the node warns of the exposure.
 _SATURATED_SHARE = 0.25
@@ -70,8 +70,9 @@ class MatchNode(FrameNode):
         left_grey, right_grey = greys
         config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
-        self._report_matches(matched, warn=exposed)
-        if np.isfinite(matched.disparity_px).mean() < FEW_MATCHED and exposed:
+        share = matched.matched_share
+        self._report_share(share, warn=exposed)
+        if share < FEW_MATCHED and exposed:
             check_order(left_grey, right_grey, config, rig.disparity_offset_px)
         if self.wanted('confidence'):
             confidence = Image()
@@ -111,11 +112,11 @@ class MatchNode(FrameNode):
             self.health.warning(found.warning)
         return found.search.applied_to(config)
 
-    def _report_matches(self, matched: Match, *, warn: bool) -> None:
-        share = float(np.isfinite(matched.disparity_px).mean())
+    def _report_share(self, share: float, *, warn: bool) -> None:
         self.health.state('matched', f'{share:.1%} of the pixels')
-        if share < FEW_MATCHED and warn:
-            self.health.warning(f'only {share:.0%} of the pixels could be matched; {REMEDY}')
+        warning = few_matched_warning(share)
+        if warning and warn:
+            self.health.warning(warning)
 
     def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
         """Warn if few pixels can be matched, and say why; return whether all is well."""

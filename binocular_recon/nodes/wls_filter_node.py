@@ -30,7 +30,6 @@ from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
-from binocular_recon.stereo.validity import Validity
 
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
 
@@ -96,8 +95,7 @@ class WlsFilterNode(FrameNode):
             guide,
             limits_px=measured.limits_px,
         )
-        measured_share = np.mean((filtered.validity & Validity.MEASURED) > 0)
-        self.health.state('measured', f'{measured_share:.1%} of the pixels')
+        self.health.state('measured', f'{filtered.measured_share:.1%} of the pixels')
         self.health.state('iterations', str(filtered.iterations))
         self.health.state('estimated error', f'{filtered.error_estimate_px:.4f} px')
         self._publish_disparity(filtered, measured, disparity, rig, left)

@@ -196,7 +196,7 @@ def estimate_disparity(
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
     search = chosen.search
     matched = match(left_grey, right_grey, search.applied_to(config.match))  # eq. 10
-    if np.isfinite(matched.disparity_px).mean() < FEW_MATCHED:
+    if matched.matched_share < FEW_MATCHED:
         check_order(left_grey, right_grey, config.match, infinity_px)
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15

@@ -17,6 +17,13 @@ REMEDY = (
 )
 
 
+def few_matched_warning(matched_share: float) -> str:
+    """Return the warning for a result of which few pixels were matched, '' if enough were."""
+    if matched_share >= FEW_MATCHED:
+        return ''
+    return f'only {matched_share:.0%} of the pixels could be matched; {REMEDY}'
+
+
 class Validity(IntFlag):
     """Bits of a validity image, (H, W) uint8, similar to the validity mask of CNES Pandora.
 

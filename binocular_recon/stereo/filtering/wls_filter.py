@@ -55,6 +55,11 @@ class Filtered:
     iterations: int
     error_estimate_px: float
 
+    @property
+    def measured_share(self) -> float:
+        """Share of the pixels that were measured, not filled."""
+        return float(np.mean((self.validity & Validity.MEASURED) > 0))
+
 
 class DisparityFilter:
     """Filter the frames of a stream: the solver's memory is reused from frame to frame.

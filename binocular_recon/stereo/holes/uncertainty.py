@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from binocular_recon._jit import over_strips
-from binocular_recon.images import ByteImage, FloatImage, Mask
+from binocular_recon.images import ByteImage, FloatImage, Mask, connected_to_border
 from binocular_recon.stereo.holes._candidate_kernels import (
     compare_along_columns,
     compare_along_rows,
@@ -94,12 +94,7 @@ def _enclosed(measured: Mask) -> Mask:
 def _reaching_the_border(region: Mask) -> Mask:
     """Return the connected parts of a region that reach the image border."""
     # every second row and column suffice, and are four times as fast
-    _, labels = cv2.connectedComponents(region[::2, ::2].astype(np.uint8), connectivity=4)
-    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    reaching = np.zeros(labels.max() + 1, np.bool_)
-    reaching[border] = True
-    reaching[0] = False
-    coarse = reaching[labels].repeat(2, axis=0).repeat(2, axis=1)
+    coarse = connected_to_border(region[::2, ::2]).repeat(2, axis=0).repeat(2, axis=1)
     found: Mask = region & coarse[: region.shape[0], : region.shape[1]]
     return found
 

@@ -53,6 +53,11 @@ class Match:
     confidence: FloatImage
     validity: ByteImage
 
+    @property
+    def matched_share(self) -> float:
+        """Share of the pixels that have a disparity."""
+        return float(np.isfinite(self.disparity_px).mean())
+
 
 def disparity_step_px(config: MatchConfig) -> float:
     """Return the smallest step between disparities, `delta_d` of a DisparityImage."""
