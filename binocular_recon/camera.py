@@ -8,7 +8,8 @@ Coordinate frames are optical: x right, y down, z forward, metres. ``x_rectified
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,20 @@ from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.registry import LENSES
 
 FloatArray = npt.NDArray[np.float64]
+
+# Parameters of a calibration: of each camera, before its distortion coefficients; and of the pose.
+INTRINSICS = ('fx', 'fy', 'cx', 'cy')
+POSE = ('turn_x', 'turn_y', 'turn_z', 'T_x', 'T_y', 'T_z')
+
+
+def parameter_names(coefficients: Sequence[str]) -> tuple[str, ...]:
+    """Return the parameters of a calibration in the order of covariance matrices.
+
+    Those of the left and of the right camera with these distortion coefficients, then the pose of
+    the right camera: a small turn about its own axes (rad) and the translation (m).
+    """
+    names = (*INTRINSICS, *coefficients)
+    return (*(f'{name}_left' for name in names), *(f'{name}_right' for name in names), *POSE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +118,84 @@ class Camera:
 
 
 @dataclass(frozen=True, eq=False)
+class RigCovariance:
+    """How well a calibration is known: the covariance of the parameters of both raw cameras.
+
+    Attributes
+    ----------
+    left, right : Camera
+        The cameras as calibrated, with the R and P that rectify them.
+    parameters : tuple of str
+        Names of the p parameters: `parameter_names` of the lens' distortion coefficients.
+    matrix : (p, p) float64
+        Their covariance; px, rad and m. 0 for parameters that were not estimated.
+
+    Raises
+    ------
+    CalibrationError
+        If the names or the matrix do not fit the cameras, or the matrix is not a covariance.
+
+    """
+
+    left: Camera
+    right: Camera
+    parameters: tuple[str, ...]
+    matrix: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check names and matrix."""
+        count = len(self.parameters)
+        if self.parameters != parameter_names(self.coefficients):
+            raise CalibrationError(
+                f'the parameters of the covariance are {", ".join(self.parameters)}; they must be'
+                f' {", ".join(INTRINSICS)} and the distortion coefficients of the left and of the'
+                f' right camera, then {", ".join(POSE)}; calibrate again'
+            )
+        for camera in (self.left, self.right):
+            if camera.D[len(self.coefficients) :].any():
+                raise CalibrationError(
+                    f'the covariance is that of {len(self.coefficients)} distortion coefficients,'
+                    f' the camera has {camera.D.size}; calibrate again'
+                )
+        if self.matrix.shape != (count, count) or not np.isfinite(self.matrix).all():
+            raise CalibrationError(
+                f'the covariance must have {count} rows and columns of finite numbers, one for'
+                f' each of its parameters, got {self.matrix.shape}; calibrate again'
+            )
+        scale = np.sqrt(np.abs(np.diag(self.matrix)))
+        scale[scale == 0] = 1.0
+        correlation = self.matrix / np.outer(scale, scale)
+        if not np.allclose(correlation, correlation.T, atol=1e-9) or (
+            np.linalg.eigvalsh(correlation).min() < -1e-6
+        ):
+            raise CalibrationError(
+                'the covariance of the calibration is not symmetric with eigenvalues of at least'
+                ' 0; calibrate again'
+            )
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the distortion coefficients of either camera."""
+        names = self.parameters[: (len(self.parameters) - len(POSE)) // 2][len(INTRINSICS) :]
+        return tuple(name.removesuffix('_left') for name in names)
+
+    def distortion(self, camera: Camera) -> FloatArray:
+        """Return all calibrated coefficients of a camera, 0 for those that its D leaves out."""
+        coefficients = np.zeros(len(self.coefficients))
+        known = camera.D[: coefficients.size]
+        coefficients[: known.size] = known
+        return coefficients
+
+
+@dataclass(frozen=True, eq=False)
 class StereoRig:
     """The two cameras of a rig; their rectified rows correspond.
+
+    Attributes
+    ----------
+    left, right : Camera
+    covariance : RigCovariance, optional
+        Covariance of the calibration; without it sigmas hold the share of matching only.
 
     Raises
     ------
@@ -115,6 +206,7 @@ class StereoRig:
 
     left: Camera
     right: Camera
+    covariance: RigCovariance | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check that the two cameras form a rectified pair."""

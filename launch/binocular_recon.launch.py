@@ -41,6 +41,7 @@ OPTIONS: dict[str, tuple[type[Options], ...]] = {
         FilterConfig,
         CloudConfig,
         CloudMessageOptions,
+        CalibrationOptions,
     ),
 }
 # Messages between the nodes must not be lost: reliable, whatever the cameras are.

@@ -33,6 +33,10 @@ from binocular_recon.stereo.validity import (
     few_matched_warning,
 )
 
+_WITHOUT_COVARIANCE = (
+    'sigma holds the share of matching only; --calibration with the folder of a calibration, which'
+    ' has its covariance in calibration.json, adds that of the calibration'
+)
 # Loading compiled kernels takes less.
 _LONG_S = 5.0
 
@@ -199,6 +203,8 @@ def _reconstruct(
                 seconds = time.perf_counter() - start
                 if not results.frames:
                     report(_searched(reconstruction.range.search, chain.rig))
+                    if not reconstruction.cloud.calibrated:
+                        report(_WITHOUT_COVARIANCE)
                 warning = reconstruction.range.warning
                 if warning and not warned:
                     warned = True

@@ -95,10 +95,6 @@ def _write_heat_map(path: Path, disparity_px: FloatImage) -> None:
     write_image_file(path, heat_map_with_scale(disparity_px, 'px'))
 
 
-def _write_cloud(path: Path, cloud: Cloud, validity: ByteImage, bgr: ByteImage) -> None:
-    write_ply(path, cloud.points_xyz, cloud.sigma_z_m, validity, bgr)
-
-
 def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
     """Write the left image and, beside it, the cloud from an oblique view."""
     drawing = draw_cloud(cloud.points_xyz, bgr, (bgr.shape[1], bgr.shape[0]))
@@ -110,6 +106,6 @@ FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
     'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
-    'cloud': FrameFormat('.ply', ('cloud', 'validity', 'left_bgr'), _write_cloud),
+    'cloud': FrameFormat('.ply', ('cloud', 'validity', 'left_bgr'), write_ply),
     'drawing': FrameFormat('_cloud.png', ('cloud', 'left_bgr'), _write_drawing, on_request=True),
 }

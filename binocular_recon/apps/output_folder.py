@@ -22,6 +22,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.point_covariance import sigma_shares
 
 
 class ResultFolder:
@@ -147,6 +148,7 @@ class ResultFolder:
             summary['matched'] = self.matched
             summary['baseline_m'] = self._rig.baseline_m
             summary['focal_px'] = self._rig.focal_px
+            summary['sigma'] = sigma_shares(self._rig.covariance is not None)
             summary['depth_searched_m'] = [
                 depth if math.isfinite(depth) else None for depth in self._searched_m
             ]

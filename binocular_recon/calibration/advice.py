@@ -16,8 +16,8 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import normal_equa
 from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import State, marks_in_left, predict
 from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives, field_of_view
-from binocular_recon.calibration.model import rotation
 from binocular_recon.camera import FloatArray
+from binocular_recon.rotations import rotation
 
 # Boards tried out: distances, columns and rows of their middle in the image, turns.
 _DISTANCES = 6

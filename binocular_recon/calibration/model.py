@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from binocular_recon.camera import FloatArray
+from binocular_recon.camera import FloatArray, parameter_names
 from binocular_recon.errors import CalibrationError
 from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.registry import LENSES
+from binocular_recon.rotations import rotation
 
 # Distortion coefficients that are calibrated of each lens, in the order of D. A plumb_bob lens
 # becomes rational_polynomial where the marks call for k4 to k6.
@@ -23,13 +24,8 @@ DEFAULT_LENS = 'plumb_bob'
 
 
 def parameters_of(lens: str) -> tuple[str, ...]:
-    """Return the parameters in the order of `StereoCalibration.moved` and of covariance matrices.
-
-    Turns are small ones about the right camera's axes (rad), translations metres.
-    """
-    names = ('fx', 'fy', 'cx', 'cy', *COEFFICIENTS[lens])
-    pose = ('turn_x', 'turn_y', 'turn_z', 'T_x', 'T_y', 'T_z')
-    return (*(f'{name}_left' for name in names), *(f'{name}_right' for name in names), *pose)
+    """Return the parameters of a lens in the order of `StereoCalibration.moved`."""
+    return parameter_names(COEFFICIENTS[lens])
 
 
 def check_lens(lens: str) -> None:
@@ -171,25 +167,6 @@ class StereoCalibration:
             )
             points[seen] = (found[:3] / found[3]).T
         return points.reshape(*left_px.shape[:-1], 3)
-
-
-def rotation(turn: FloatArray) -> FloatArray:
-    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    generator = cross_matrix(turn)
-    # sinc is exact at 0
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    result: FloatArray = np.eye(3) + first * generator + second * generator @ generator
-    return result
-
-
-def cross_matrix(vector: FloatArray) -> FloatArray:
-    """Return the matrices (..., 3, 3) that form the cross product with vectors (..., 3)."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def check_finite(calibration: StereoCalibration) -> None:

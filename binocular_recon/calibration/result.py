@@ -187,6 +187,8 @@ class CalibrationResult:
             'right': _camera(calibration, 'right'),
             'R': calibration.R.tolist(),
             'T': calibration.T.tolist(),
+            'parameters': list(calibration.parameters),
+            'covariance': self.estimate.full_covariance.tolist(),
             'sigma': self.sigma,
             'depth_sigma_m': {
                 depth: sigma if np.isfinite(sigma) else None for depth, sigma in depths.items()

@@ -40,7 +40,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
-from binocular_recon.camera import FloatArray
+from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError
 
 # Noise of a mark before anything is known, px.
@@ -116,9 +116,12 @@ def calibrate(
     )
     final = _stage(adjusted.state, target, used, _rows(rectified))
     corrected, more = _corrected(used, target, planar, final)
+    known = RigCovariance(
+        rig.left, rig.right, adjusted.state.calibration.parameters, adjusted.full_covariance
+    )
     return CalibrationResult(
         names=tuple(usable[i].name for i in adjusted.boards),
-        rig=rig,
+        rig=StereoRig(rig.left, rig.right, covariance=known),
         planar=_stage(planar, target.exact(), used, _rows(used)),
         corrected=corrected,
         adjusted=final,

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write files, bags and ROS messages.
 
-Each module here is one file format: `calibration_yaml`, `image_files`, `pfm`, `disparity_png`,
-`ply`. All write through `files`, so that a file is either complete or absent. `bags` reads and
-writes recordings; `messages` converts ROS messages. None of them needs ROS. The files of each
-frame are chosen in `apps.frame_formats`.
+Each module here is one file format: `calibration_yaml` and `calibration_json`, `image_files`,
+`pfm`, `disparity_png`, `ply`. All write through `files`, so that a file is either complete or
+absent. `bags` reads and writes recordings; `messages` converts ROS messages. None of them needs
+ROS. The files of each frame are chosen in `apps.frame_formats`.
 """
 
 from typing import TYPE_CHECKING

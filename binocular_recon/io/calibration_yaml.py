@@ -11,6 +11,7 @@ import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.files import complete_file
 
 # K, D, R and P
@@ -60,18 +61,21 @@ def read_camera(path: Path) -> Camera:
 
 
 def read_rig(folder: str | Path) -> StereoRig:
-    """Read ``left.yaml`` and ``right.yaml`` of ``folder``; errors as in `read_camera`.
+    """Read ``left.yaml``, ``right.yaml`` and, if it is there, ``calibration.json`` of ``folder``.
 
-    If saving a calibration was interrupted, its new files are read where they are.
+    If saving a calibration was interrupted, its new files are read where they are. Errors as in
+    `read_camera` and `read_covariance`.
     """
     folder = Path(folder)
-    left, right = (
-        read_camera(next((path for path in places if path.exists()), places[-1]))
-        for places in (
-            (folder / PENDING / name, folder / name) for name in ('left.yaml', 'right.yaml')
-        )
-    )
-    return StereoRig(left, right)
+    left, right = (read_camera(_newest(folder, f'{side}.yaml')) for side in ('left', 'right'))
+    covariance = read_covariance(_newest(folder, 'calibration.json'), left, right)
+    return StereoRig(left, right, covariance=covariance)
+
+
+def _newest(folder: Path, name: str) -> Path:
+    """Return where a file of the newest calibration is."""
+    pending = folder / PENDING / name
+    return pending if pending.exists() else folder / name
 
 
 def write_camera(path: Path, camera: Camera, name: str) -> None:

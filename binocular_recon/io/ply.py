@@ -9,27 +9,26 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.io.files import complete_file
+from binocular_recon.stereo.point_covariance import sigma_shares
+from binocular_recon.stereo.triangulation import Cloud
 
-VERTEX = np.dtype(
-    [
-        ('x', '<f4'),
-        ('y', '<f4'),
-        ('z', '<f4'),
-        ('red', 'u1'),
-        ('green', 'u1'),
-        ('blue', 'u1'),
-        # CloudCompare takes only such names for scalar fields by itself
-        ('scalar_sigma_z', '<f4'),
-        ('scalar_validity', '<f4'),
-    ]
-)
+# before the standard deviations
+_POINT = [
+    ('x', '<f4'),
+    ('y', '<f4'),
+    ('z', '<f4'),
+    ('red', 'u1'),
+    ('green', 'u1'),
+    ('blue', 'u1'),
+]
+# CloudCompare takes only such names for scalar fields by itself
+_SCALAR = 'scalar_'
 _PLY_TYPE = {'f': 'float', 'u': 'uchar'}
 
 
 def write_ply(
     path: Path,
-    points_xyz: npt.NDArray[np.float32],
-    sigma_z_m: npt.NDArray[np.float32],
+    cloud: Cloud,
     validity: npt.NDArray[np.uint8],
     bgr: npt.NDArray[np.uint8],
 ) -> int:
@@ -39,10 +38,8 @@ def write_ply(
     ----------
     path : Path
         File to write; its folder must exist.
-    points_xyz : (H, W, 3) float32
-        Points in the left rectified optical frame, m; NaN = none.
-    sigma_z_m : (H, W) float32
-        One standard deviation of the depth, m.
+    cloud : Cloud
+        Points in the left rectified optical frame, and their standard deviations, m.
     validity : (H, W) uint8
         Bits of `Validity`.
     bgr : (H, W, 3) uint8
@@ -59,28 +56,33 @@ def write_ply(
         If the file cannot be written.
 
     """
-    valid = np.isfinite(points_xyz).all(axis=-1)
-    points = points_xyz[valid]
-    vertices = np.empty(len(points), VERTEX)
+    valid = np.isfinite(cloud.points_xyz).all(axis=-1)
+    points = cloud.points_xyz[valid]
+    scalars = {**cloud.sigmas_m, 'validity': validity}
+    kind = np.dtype([*_POINT, *((f'{_SCALAR}{name}', '<f4') for name in scalars)])
+    vertices = np.empty(len(points), kind)
     vertices['x'], vertices['y'], vertices['z'] = points.T
     vertices['blue'], vertices['green'], vertices['red'] = bgr[valid].T
-    vertices['scalar_sigma_z'] = sigma_z_m[valid]
-    vertices['scalar_validity'] = validity[valid]
+    for name, values in scalars.items():
+        vertices[f'{_SCALAR}{name}'] = values[valid]
     with complete_file(path) as file:
-        file.write(_header(len(vertices)))
+        file.write(_header(vertices, sigma_shares(cloud.calibrated)))
         file.write(vertices.data)
     return len(vertices)
 
 
-def _header(count: int) -> bytes:
-    properties = [f'property {_PLY_TYPE[VERTEX[name].kind]} {name}' for name in VERTEX.names or ()]
+def _header(vertices: npt.NDArray[np.void], shares: str) -> bytes:
+    names = vertices.dtype.names or ()
+    properties = [f'property {_PLY_TYPE[vertices.dtype[name].kind]} {name}' for name in names]
+    sigmas = [name for name in names if name.startswith(f'{_SCALAR}sigma')]
     lines = [
         'ply',
         'format binary_little_endian 1.0',
         'comment left rectified optical frame: x right, y down, z forward, metres',
-        'comment scalar_sigma_z: one standard deviation of z, metres',
+        f'comment {", ".join(sigmas)}: one standard deviation, metres',
+        f'comment standard deviations hold the share of {shares}',
         'comment scalar_validity: 1 measured, 2 filled between measured pixels',
-        f'element vertex {count}',
+        f'element vertex {len(vertices)}',
         *properties,
         'end_header\n',
     ]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
@@ -15,6 +16,7 @@ from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
+from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
@@ -22,12 +24,14 @@ from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import (
+    CalibrationOptions,
     CloudMessageOptions,
     LateInputOptions,
     PresetOptions,
 )
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
+from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 
@@ -54,11 +58,14 @@ class WlsFilterNode(FrameNode):
         Output('validity', Image),
     )
     LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions)
-    FIXED = (LateInputOptions,)
+    FIXED = (LateInputOptions, CalibrationOptions)
 
     def __init__(self) -> None:
         super().__init__()
         self._filter = DisparityFilter(FilterConfig())
+        self._calibrated: tuple[StereoRig, StereoRig] | None = None
+        folder = self.options.of(CalibrationOptions).calibration
+        self._covariance = read_rig(Path(folder).expanduser()).covariance if folder else None
         self.prepare()
         self.start()
 
@@ -102,9 +109,20 @@ class WlsFilterNode(FrameNode):
         if self.wanted(*_CLOUD_OUTPUTS):
             config = self.options.of(CloudConfig)
             cloud = triangulate(
-                filtered.disparity_px, filtered.sigma_px, filtered.validity, rig, config
+                filtered.disparity_px,
+                filtered.sigma_px,
+                filtered.validity,
+                self._with_covariance(rig),
+                config,
             )
             self._publish_cloud(cloud, filtered, image, rig, left)
+
+    def _with_covariance(self, rig: StereoRig) -> StereoRig:
+        """Return the rig of the camera infos with the covariance of the calibration folder."""
+        if self._calibrated is None or self._calibrated[0] is not rig:
+            self._calibrated = rig, add_covariance(rig, self._covariance)
+        self.health.state('sigma', sigma_shares(self._covariance is not None))
+        return self._calibrated[1]
 
     def _current_filter(self) -> DisparityFilter:
         config = self.options.of(FilterConfig)

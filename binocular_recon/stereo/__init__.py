@@ -4,7 +4,8 @@
 `pipeline` runs the chain, one line per step of the paper. Each stage has a subpackage or a module:
 `rectification` maps raw images onto common rows, `search_range` finds the disparities to search,
 `matching` measures them, `holes` fills pixels without a match, `filtering` denoises,
-`triangulation` computes metric points; `validity` tells measured from filled pixels, and
+`triangulation` computes metric points, `point_covariance` their covariance, also between points,
+from that of the calibration; `validity` tells measured from filled pixels, and
 `confidence` converts the standard deviation of a match to a number in [0, 1] and back. Exports
 the chain and its stages.
 """
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
         Reconstruction,
         estimate_disparity,
     )
+    from binocular_recon.stereo.point_covariance import calibration_derivatives, joint_covariance
     from binocular_recon.stereo.rectification import Rectifier
     from binocular_recon.stereo.search_range import SearchRange
     from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -44,9 +46,11 @@ __all__ = [
     'Rectifier',
     'SearchRange',
     'Validity',
+    'calibration_derivatives',
     'confidence_from_sigma',
     'estimate_disparity',
     'filter_disparity',
+    'joint_covariance',
     'match',
     'register_matcher',
     'sigma_from_confidence',

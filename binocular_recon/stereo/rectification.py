@@ -112,7 +112,9 @@ class Rectifier:
         _check_rotation(rig.right, 'right')
         if alpha >= 0.0:
             rig = _rescaled(rig, alpha)
-        self.rig = StereoRig(_rectified(rig.left), _rectified(rig.right))
+        self.rig = StereoRig(
+            _rectified(rig.left), _rectified(rig.right), covariance=rig.covariance
+        )
         self._size = rig.left.size
         self._interpolation = interpolation
         # Not converted to fixed-point by convertMaps: with float maps OpenCV 5 is exact, and twice
@@ -193,7 +195,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
     left_camera, right_camera = (
         dataclasses.replace(camera, P=camera.P * factors) for camera in (rig.left, rig.right)
     )
-    return StereoRig(left_camera, right_camera)
+    return StereoRig(left_camera, right_camera, covariance=rig.covariance)
 
 
 def _border_points(camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

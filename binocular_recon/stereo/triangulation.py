@@ -13,6 +13,7 @@ from binocular_recon.config import CloudConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo._triangulation_kernels import triangulate_rows
+from binocular_recon.stereo.point_covariance import variance_grid
 from binocular_recon.stereo.validity import Validity
 
 
@@ -24,13 +25,31 @@ class Cloud:
     ----------
     points_xyz : (H, W, 3) float32
         Metres; NaN = no point.
-    sigma_z_m : (H, W) float32
-        One standard deviation of the depth, metres; NaN = no point.
+    sigma_m : (H, W, 3) or (H, W, 1) float32
+        One standard deviation of x, y and z, metres, with the shares of matching and of the
+        calibration; without the covariance of the calibration of z only, with the share of
+        matching. NaN = no point.
 
     """
 
     points_xyz: FloatImage
-    sigma_z_m: FloatImage
+    sigma_m: FloatImage
+
+    @property
+    def sigma_z_m(self) -> FloatImage:
+        """One standard deviation of the depth, (H, W) float32, metres; NaN = no point."""
+        return self.sigma_m[..., -1]
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the standard deviations hold the calibration's share."""
+        return self.sigma_m.shape[-1] == 3
+
+    @property
+    def sigmas_m(self) -> dict[str, FloatImage]:
+        """The known standard deviations by their names in files and messages, (H, W) float32."""
+        names = ('sigma_x', 'sigma_y', 'sigma_z')[-self.sigma_m.shape[-1] :]
+        return {name: self.sigma_m[..., i] for i, name in enumerate(names)}
 
     @property
     def depth_m(self) -> FloatImage:
@@ -76,7 +95,8 @@ def triangulate(
     -----
     Eq. 16-18 of the paper, but the two cameras may have different principal points: the disparity
     of a point at infinity is ``o = cx_left - cx_right``, so ``z = f B / (d - o)``. To first order,
-    ``sigma_z = z^2 / (f B) sigma_d``.
+    matching contributes ``z^2 / (f B) sigma_d`` along the ray of the pixel; the calibration's
+    share, where the rig has its covariance, is that of `point_covariance`.
 
     """
     size = (rig.left.height, rig.left.width)
@@ -88,7 +108,7 @@ def triangulate(
         )
     kept = Validity.MEASURED | (Validity.FILLED if config.keep == 'all' else 0)
     points_xyz = np.empty((*size, 3), np.float32)
-    sigma_z_m = np.empty(size, np.float32)
+    sigma_m = np.empty((*size, 3 if rig.covariance else 1), np.float32)
     over_strips(
         triangulate_rows,
         size[0],
@@ -101,7 +121,8 @@ def triangulate(
         rig.disparity_offset_px,
         (config.min_depth, config.max_depth),
         config.sigma_limit,
+        variance_grid(rig),
         points_xyz,
-        sigma_z_m,
+        sigma_m,
     )
-    return Cloud(points_xyz, sigma_z_m)
+    return Cloud(points_xyz, sigma_m)

@@ -79,6 +79,14 @@ class Estimate:
     covariance: FloatArray
     settled: bool = True
 
+    @property
+    def full_covariance(self) -> FloatArray:
+        """Covariance of all parameters of the calibration, (p, p); 0 for those not estimated."""
+        free = self.problem.free
+        full = np.zeros((free.size, free.size))
+        full[np.ix_(free, free)] = self.covariance
+        return full
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.calibration.model import StereoCalibration, cross_matrix, rotation
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
-from binocular_recon.lenses.lens import Lens
+from binocular_recon.lenses.projection import project_derivatives
+from binocular_recon.rotations import cross_matrix, rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ def linearise(state: State, target: Target) -> tuple[FloatArray, Jacobians]:
         K, D, R, T = calibration.side(side)
         point, direction = axis @ R.T + T, along @ R.T
         edge, d_point, d_direction = _edge_derivatives(point, direction, target.radius_m)
-        pixel, d_edge, d_intrinsics = _project_derivatives(edge, calibration.lens_model, K, D)
+        pixel, d_edge, d_intrinsics = project_derivatives(edge, calibration.lens_model, K, D)
         by_point, by_direction = d_edge @ d_point, d_edge @ d_direction
         to_point, to_direction = by_point @ R, by_direction @ R
         by_board.append(to_point @ d_axis_board + to_direction @ d_along_board)
@@ -194,24 +195,6 @@ def _edge_derivatives(
         direction[..., :, None] * point[..., None, :] + along[..., None] * unit
     )
     return point - radius * away, d_point, d_direction
-
-
-def _project_derivatives(
-    points: FloatArray, lens: Lens, K: FloatArray, D: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return pixels and their derivatives by point (..., 2, 3) and intrinsics (..., 2, 4 + n)."""
-    inverse_z = 1 / points[..., 2]
-    x, y = points[..., 0] * inverse_z, points[..., 1] * inverse_z
-    focal = np.array([K[0, 0], K[1, 1]])
-    distorted, by_ray, by_coefficient = lens.derivatives(np.stack([x, y], axis=-1), D, focal)
-    by_xy = focal[:, None] * by_ray
-    by_z = -focal * (by_ray[..., 0] * x[..., None] + by_ray[..., 1] * y[..., None])
-    by_point = np.concatenate([by_xy, by_z[..., None]], axis=-1) * inverse_z[..., None, None]
-    by_intrinsics = np.zeros((*x.shape, 2, 4 + D.size))
-    by_intrinsics[..., 0, 0], by_intrinsics[..., 1, 1] = distorted[..., 0], distorted[..., 1]
-    by_intrinsics[..., 0, 2] = by_intrinsics[..., 1, 3] = 1
-    by_intrinsics[..., 4:] = by_coefficient
-    return focal * distorted + K[:2, 2], by_point, by_intrinsics
 
 
 def _hstack(*blocks: FloatArray) -> FloatArray:

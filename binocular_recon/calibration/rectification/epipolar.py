@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from binocular_recon.calibration.model import StereoCalibration, cross_matrix
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.homography import (
     Correction,
     ImageGrid,
@@ -24,6 +24,7 @@ from binocular_recon.calibration.rectification.homography import (
 )
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.rotations import cross_matrix
 
 # eq. 5, the fundamental matrix of a pair whose rows correspond
 F_STAR = np.array([[0.0, 0, 0], [0, 0, 1], [0, -1, 0]])

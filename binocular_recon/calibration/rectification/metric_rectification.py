@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.epipolar import check_epipoles
 from binocular_recon.calibration.rectification.homography import (
     Correction,
@@ -21,6 +21,7 @@ from binocular_recon.calibration.rectification.homography import (
 )
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.rotations import rotation
 
 # The principal points of both cameras are the same, so that a point at infinity has disparity 0,
 # unless centring the images would set them apart by more than this share of the width.

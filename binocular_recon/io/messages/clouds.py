@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,23 +16,12 @@ from binocular_recon.stereo.triangulation import Cloud
 _UINT32, _FLOAT32 = 6, 7  # of sensor_msgs/PointField
 
 
-class _Layout(NamedTuple):
-    """Size of a point and positions of its fields, in units of 4 bytes."""
-
-    size: int
-    rgb: int | None
-    sigma_z: int
-
-
-_PADDED = 8
-# By (colour, padding); x y z come first. Padded points have the layout of PCL and image_pipeline,
-# with sigma_z in a position that these leave unused.
-_LAYOUTS = {
-    (True, True): _Layout(8, 4, 5),
-    (True, False): _Layout(5, 3, 4),
-    (False, True): _Layout(4, None, 3),
-    (False, False): _Layout(4, None, 3),
-}
+# Positions of the fields in units of 4 bytes. Padded points have the layout of PCL and
+# image_pipeline, with ours in positions that these leave unused.
+_PADDED = {'rgb': 4, 'sigma_z': 5, 'sigma_x': 6, 'sigma_y': 7, 'validity': 3}
+_PADDED_SIZE = 8
+# Packed points hold what there is, in this order.
+_PACKED = ('rgb', 'sigma_z', 'sigma_x', 'sigma_y', 'validity')
 
 
 def fill_cloud(
@@ -64,22 +54,18 @@ def fill_cloud(
         Align points to 16 bytes as PCL does; otherwise fields are packed.
 
     """
+    names = {'rgb': colour, **cloud.sigmas_m, 'validity': validity}
+    places, size = _layout([name for name in _PACKED if names.get(name) is not None], padding)
     height, width = cloud.sigma_z_m.shape
-    layout = _LAYOUTS[colour is not None, padding]
-    # the fourth value of a padded point is free; packed points grow by one
-    free = 3 if layout.size == _PADDED else layout.size
-    size = max(layout.size, free + 1) if validity is not None else layout.size
     points = np.zeros((height, width, size), np.float32)
     points[..., :3] = cloud.points_xyz
-    points[..., layout.sigma_z] = cloud.sigma_z_m
-    places = {'x': 0, 'y': 1, 'z': 2, 'sigma_z': layout.sigma_z}
-    if colour is not None and layout.rgb is not None:
-        places['rgb'] = layout.rgb
+    for name, sigma in cloud.sigmas_m.items():
+        points[..., places[name]] = sigma
+    if colour is not None:
         blue, green, red = (colour[..., channel].astype(np.uint32) for channel in range(3))
-        points.view(np.uint32)[..., layout.rgb] = red << 16 | green << 8 | blue
+        points.view(np.uint32)[..., places['rgb']] = red << 16 | green << 8 | blue
     if validity is not None:
-        places['validity'] = free
-        points.view(np.uint32)[..., free] = validity
+        points.view(np.uint32)[..., places['validity']] = validity
     message.header = header
     message.height, message.width = height, width
     message.fields = [
@@ -96,3 +82,12 @@ def fill_cloud(
     message.row_step = message.point_step * width
     message.is_dense = bool(np.isfinite(cloud.depth_m).all())
     assign_array(message, 'data', points)
+
+
+def _layout(names: Sequence[str], padding: bool) -> tuple[dict[str, int], int]:
+    """Return the position of x, y, z and of each further field, and the size of a point."""
+    first = dict(zip('xyz', range(3), strict=True))
+    if padding and 'rgb' in names:
+        return {**first, **{name: _PADDED[name] for name in names}}, _PADDED_SIZE
+    rest = {name: 3 + i for i, name in enumerate(names)}
+    return {**first, **rest}, 3 + len(names)

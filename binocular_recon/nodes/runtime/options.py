@@ -104,8 +104,8 @@ class CalibrationOptions(Options):
 
     calibration: str = option(
         '',
-        "Folder with left.yaml and right.yaml to use instead of the cameras' own camera infos;"
-        ' empty: use those',
+        "Folder with left.yaml and right.yaml to use instead of the cameras' own camera infos,"
+        ' and calibration.json with their covariance for sigma; empty: use the camera infos',
     )
 
 

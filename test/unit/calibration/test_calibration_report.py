@@ -10,7 +10,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from binocular_recon.calibration.model import rotation
 from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.report.report import BoardImage, render_report
 from binocular_recon.calibration.session.points_csv import read_points
@@ -18,6 +17,7 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.drawing.svg import Chart, ticks
+from binocular_recon.rotations import rotation
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import place_board
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, solved, truth

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import rq
 
-from binocular_recon.calibration.model import StereoCalibration, rotation
+from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.epipolar import (
     F_STAR,
     epipoles,
@@ -25,6 +25,7 @@ from binocular_recon.calibration.rectification.metric_rectification import (
 )
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.rotations import rotation
 from binocular_recon.stereo.rectification import Rectifier
 from test.calibration_tools import truth
 

@@ -27,7 +27,7 @@ def test_organised_cloud(colour: bool, padding: bool, step: int, offsets: dict[s
     bgr = generator.integers(0, 256, (3, 5, 3)).astype(np.uint8)
     header = SimpleNamespace(frame_id='left')
     message = SimpleNamespace(data=array.array('B'))
-    cloud = Cloud(points, sigma)
+    cloud = Cloud(points, sigma[..., None])
     fill_cloud(
         message, cloud, header, SimpleNamespace, colour=bgr if colour else None, padding=padding
     )

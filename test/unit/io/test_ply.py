@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from binocular_recon.io.ply import write_ply
+from binocular_recon.stereo.triangulation import Cloud
 
 
 def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
@@ -18,7 +19,7 @@ def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
     bgr = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
     path = tmp_path / 'a.ply'
 
-    assert write_ply(path, points, sigma, validity, bgr) == 4
+    assert write_ply(path, Cloud(points, sigma[..., None]), validity, bgr) == 4
 
     header, body = path.read_bytes().split(b'end_header\n')
     lines = [line for line in header.decode().splitlines() if not line.startswith('comment')]
@@ -47,6 +48,8 @@ def test_a_cloud_without_points_is_a_valid_file(tmp_path: Path) -> None:
     points = np.full((2, 2, 3), np.nan, np.float32)
     zeros = np.zeros((2, 2), np.float32)
     bgr = np.zeros((2, 2, 3), np.uint8)
-    count = write_ply(tmp_path / 'a.ply', points, zeros, zeros.astype(np.uint8), bgr)
+    count = write_ply(
+        tmp_path / 'a.ply', Cloud(points, zeros[..., None]), zeros.astype(np.uint8), bgr
+    )
     assert count == 0
     assert (tmp_path / 'a.ply').read_bytes().endswith(b'end_header\n')

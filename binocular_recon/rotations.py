@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation vectors and cross products as matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def rotation(turn: FloatArray) -> FloatArray:
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    generator = cross_matrix(turn)
+    # sinc is exact at 0
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    result: FloatArray = np.eye(3) + first * generator + second * generator @ generator
+    return result
+
+
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """Return the matrices (..., 3, 3) that form the cross product with vectors (..., 3)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
