@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +59,7 @@ def write_ply(
     """
     valid = np.isfinite(cloud.points_xyz).all(axis=-1)
     points = cloud.points_xyz[valid]
-    scalars = {**cloud.sigmas_m, 'validity': validity}
+    scalars: dict[str, npt.NDArray[Any]] = {**cloud.sigmas_m, 'validity': validity}
     kind = np.dtype([*_POINT, *((f'{_SCALAR}{name}', '<f4') for name in scalars)])
     vertices = np.empty(len(points), kind)
     vertices['x'], vertices['y'], vertices['z'] = points.T

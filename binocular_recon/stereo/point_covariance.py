@@ -170,7 +170,8 @@ def variance_grid(rig: StereoRig) -> npt.NDArray[np.float32]:
     inverse_depth = (left - right - rig.disparity_offset_px) / (rig.focal_px * rig.baseline_m)
     derivatives = _scaled_derivatives(known, rays.reshape(-1, 2), inverse_depth.ravel())
     variances = np.einsum('nip,nip->ni', derivatives @ known.matrix, derivatives)
-    return variances.reshape(*_GRID, 3).astype(np.float32)
+    grid: npt.NDArray[np.float32] = variances.reshape(*_GRID, 3).astype(np.float32)
+    return grid
 
 
 def _known(rig: StereoRig) -> RigCovariance:

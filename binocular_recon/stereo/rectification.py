@@ -112,9 +112,8 @@ class Rectifier:
         _check_rotation(rig.right, 'right')
         if alpha >= 0.0:
             rig = _rescaled(rig, alpha)
-        self.rig = StereoRig(
-            _rectified(rig.left), _rectified(rig.right), covariance=rig.covariance
-        )
+        cameras = _rectified(rig.left), _rectified(rig.right)
+        self.rig = StereoRig(*cameras, covariance=rig.covariance)
         self._size = rig.left.size
         self._interpolation = interpolation
         # Not converted to fixed-point by convertMaps: with float maps OpenCV 5 is exact, and twice

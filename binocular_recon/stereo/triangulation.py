@@ -43,7 +43,7 @@ class Cloud:
     @property
     def calibrated(self) -> bool:
         """Whether the standard deviations hold the calibration's share."""
-        return self.sigma_m.shape[-1] == 3
+        return bool(self.sigma_m.shape[-1] == 3)
 
     @property
     def sigmas_m(self) -> dict[str, FloatImage]:
