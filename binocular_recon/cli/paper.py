@@ -12,6 +12,7 @@ from typing import Any
 from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import add_output_option, non_negative, positive
 from binocular_recon.errors import CalibrationError
+from binocular_recon.evaluation.paper import sigmas
 from binocular_recon.evaluation.paper.drawing import draw_crop, draw_sizes
 from binocular_recon.evaluation.paper.runs import (
     BOARDS,
@@ -56,6 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='sites whose rods are rendered in images and detected (%(default)s); for the others,'
         f' marks are simulated with {MARK_NOISE_PX:g} px noise',
     )  # fmt: skip
+    parser.add_argument(
+        '--sigmas', action='store_true',
+        help='instead: compare the points of each site, and lengths between them, with their'
+        ' stated sigma; writes sigmas.json',
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> None:
@@ -66,6 +72,10 @@ def run(args: argparse.Namespace) -> None:
     make_folder(args.output)
     start = time.monotonic()
     seeds = range(args.first_seed, args.first_seed + args.seeds)
+    if args.sigmas:
+        _compare_sigmas(args.output, seeds)
+        print(f'\n{args.output}/sigmas.json ({time.monotonic() - start:.0f} s)')
+        return
     rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
     runs: list[PaperRun] = []
     failed: list[FailedRun] = []
@@ -86,6 +96,17 @@ def run(args: argparse.Namespace) -> None:
     print(_text(runs, failed))
     print(f'\n{args.output}/paper.json, tables.md, sizes.jpg, crop.jpg'
           f' ({time.monotonic() - start:.0f} s)')  # fmt: skip
+
+
+def _compare_sigmas(folder: Path, seeds: Sequence[int]) -> None:
+    """Compare points and lengths with their sigma; ``sigmas.json`` grows with each site."""
+    done: list[sigmas.SiteSigmas] = []
+    with ProgressBar(len(seeds), 'sites') as bar:
+        for site in sigmas.run_sites(survey_rig(), seeds):
+            done.append(site)
+            write_json(folder / 'sigmas.json', to_plain({'sites': done}))
+            bar.show(len(done))
+    print(sigmas.report(done))
 
 
 def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[str, Any]:

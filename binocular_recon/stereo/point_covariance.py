@@ -24,7 +24,7 @@ from binocular_recon.lenses.projection import project_derivatives
 from binocular_recon.rotations import cross_matrix
 
 # Nodes of the grid of variances over the columns of the left and of the right image and the rows.
-_GRID = 25, 25, 15
+_GRID = 41, 41, 25
 
 
 def joint_covariance(
