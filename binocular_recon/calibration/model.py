@@ -95,6 +95,15 @@ class StereoCalibration:
         return centre
 
     @property
+    def facing(self) -> FloatArray:
+        """Rotation from the left camera to x along the baseline and z the mean view, (3, 3)."""
+        x = self.right_centre_m / self.baseline_m
+        view = np.array([0, 0, 1.0]) + self.R.T[:, 2]
+        y = np.cross(view, x)
+        y /= np.linalg.norm(y)
+        return np.stack([x, y, np.cross(x, y)])
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters of `moved`, (p,)."""
         return parameters_of(self.lens)

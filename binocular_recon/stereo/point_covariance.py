@@ -14,12 +14,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.projection import project_derivatives
 from binocular_recon.rotations import cross_matrix
 
@@ -139,7 +141,8 @@ def variance_grid(rig: StereoRig) -> npt.NDArray[np.float32]:
     """Return the calibration's share of the variance of points, divided by the depth^4.
 
     That is smooth over both images and finite up to infinity, so a point's variance can be
-    interpolated (linearly, to about 1 % of its standard deviation).
+    interpolated: linearly, to about 1 % of its standard deviation, and to larger values beyond 60
+    degrees from the axis of a fisheye.
 
     Parameters
     ----------
@@ -186,34 +189,68 @@ def _known(rig: StereoRig) -> RigCovariance:
 def _scaled_derivatives(
     known: RigCovariance, rays: FloatArray, inverse_depth: FloatArray
 ) -> FloatArray:
-    """Return the derivatives of points by the parameters, divided by the depth^2: (N, 3, p).
+    """Return `scaled_derivatives` of a calibrated rig."""
+    left, right = (
+        RawCamera(camera.lens, camera.K, known.distortion(camera), camera.R)
+        for camera in (known.left, known.right)
+    )
+    baseline_m = StereoRig(known.left, known.right).baseline_m
+    return scaled_derivatives(left, right, baseline_m, rays, inverse_depth)
 
-    ``rays`` (N, 2) is X / Z and Y / Z, ``inverse_depth`` (N,) 1 / Z. All is finite at infinity.
+
+class RawCamera(NamedTuple):
+    """A camera whose parameters may change: lens, K, all calibrated D, and R that rectifies it."""
+
+    lens: Lens
+    K: FloatArray
+    D: FloatArray
+    R: FloatArray
+
+
+def scaled_derivatives(
+    left: RawCamera,
+    right: RawCamera,
+    baseline_m: float,
+    rays: FloatArray,
+    inverse_depth: FloatArray,
+) -> FloatArray:
+    """Return the derivatives of measured points by the parameters, divided by the depth^2.
+
+    That is finite at infinity, too.
+
+    Parameters
+    ----------
+    left, right : RawCamera
+        Both with a rectified frame whose x axis is the baseline.
+    baseline_m : float
+    rays : (N, 2) float64
+        X / Z and Y / Z in the left rectified frame.
+    inverse_depth : (N,) float64
+        1 / Z, 1/m.
+
+    Returns
+    -------
+    (N, 3, p) float64
+        1/m per unit of each of `parameter_names`.
+
     """
-    left, right = known.left, known.right
-    shift = right.P[0, 3] / right.P[0, 0] - left.P[0, 3] / left.P[0, 0]  # minus the baseline
     ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=-1)
 
     # the left ray: its pixel stays where it is
-    _, by_point, by_left = project_derivatives(
-        ahead @ left.R, left.lens, left.K, known.distortion(left)
-    )
+    _, by_point, by_left = project_derivatives(ahead @ left.R, left.lens, left.K, left.D)
     ray_steps = -np.linalg.solve((by_point @ left.R.T)[..., :2], by_left)
 
     # the match stays in its rectified column; along it, rows may change
-    seen = ahead + np.array([shift, 0, 0]) * inverse_depth[:, None]
-    _, by_point, by_right = project_derivatives(
-        seen @ right.R, right.lens, right.K, known.distortion(right)
-    )
+    seen = ahead - np.array([baseline_m, 0, 0]) * inverse_depth[:, None]
+    _, by_point, by_right = project_derivatives(seen @ right.R, right.lens, right.K, right.D)
     to_column = np.linalg.inv((by_point @ right.R.T)[..., :2])[:, :1]
     by_turn = -by_point @ cross_matrix(ahead @ right.R)
     by_shift = by_point * inverse_depth[:, None, None]
     column_steps = (to_column @ np.concatenate([by_right, by_turn, by_shift], axis=-1))[:, 0]
 
     count = by_left.shape[-1]
-    depth_steps = np.zeros((len(rays), len(known.parameters)))  # of the inverse depth
-    depth_steps[:, :count] = -ray_steps[:, 0] / shift
-    depth_steps[:, count:] = -column_steps / shift
+    # of the inverse depth
+    depth_steps = np.concatenate([ray_steps[:, 0], column_steps], axis=-1) / baseline_m
     scaled: FloatArray = -ahead[:, :, None] * depth_steps[:, None, :]
     scaled[:, :2, :count] += ray_steps * inverse_depth[:, None, None]
     return scaled

@@ -8,6 +8,7 @@ import numpy as np
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
+from binocular_recon.stereo.point_covariance import RawCamera, scaled_derivatives
 
 # Depth is judged over the middle half of the image's width and height.
 FIELD_SHARE = 0.5
@@ -57,19 +58,21 @@ def points_at(calibration: StereoCalibration, pixels: FloatArray, depth_m: float
 def depth_derivatives(
     calibration: StereoCalibration, free: Mask, points_m: FloatArray
 ) -> FloatArray:
-    """Return by how much triangulated depth changes with each free parameter, (N, n)."""
-    names = calibration.parameters
-    left, right = (calibration.project(points_m, side) for side in ('left', 'right'))
-    columns = []
-    for index in np.flatnonzero(free):
-        # a thousandth of a pixel, or a microradian or micrometre
-        step = np.zeros(len(names))
-        step[index] = 1e-3 if names[index][:2] in {'fx', 'fy', 'cx', 'cy'} else 1e-6
-        depths = [
-            calibration.moved(sign * step).triangulate(left, right)[..., 2] for sign in (1, -1)
-        ]
-        columns.append((depths[0] - depths[1]) / (2 * step[index]))
-    return np.stack(columns, axis=-1)
+    """Return by how much the depth of measured points changes with each free parameter, (N, n).
+
+    The points are those of the left camera's frame, (N, 3) m, and so is their depth.
+    """
+    R = calibration.facing
+    left, right = (
+        RawCamera(calibration.lens_model, *calibration.side(side)[:2], turned)
+        for side, turned in (('left', R), ('right', R @ calibration.R.T))
+    )
+    points = points_m @ R.T
+    inverse_depth = 1 / points[:, 2]
+    rays = points[:, :2] * inverse_depth[:, None]
+    scaled = scaled_derivatives(left, right, calibration.baseline_m, rays, inverse_depth)
+    derivatives: FloatArray = np.einsum('nip,i->np', scaled, R[:, 2]) / inverse_depth[:, None] ** 2
+    return derivatives[:, free]
 
 
 def depth_sigma_m(

@@ -45,7 +45,7 @@ def metric_rig(calibration: StereoCalibration) -> StereoRig:
     check_order(calibration)
     check_epipoles(calibration)
     left, right = (ImageGrid.of(calibration, side) for side in ('left', 'right'))
-    facing = _rotation_to_baseline(calibration)
+    facing = calibration.facing
 
     def pair(free: FloatArray) -> Correction:
         K_star = np.diag([free[0], free[1], 1.0])
@@ -93,15 +93,6 @@ def check_order(calibration: StereoCalibration) -> None:
             f'left and right are swapped: the right camera stands {-x:.3g} m to the left of the'
             ' left one; exchange the images of the two cameras'
         )
-
-
-def _rotation_to_baseline(calibration: StereoCalibration) -> FloatArray:
-    """Return the rotation from the left camera to x along the baseline, z the mean view."""
-    x = calibration.right_centre_m / calibration.baseline_m
-    view = np.array([0, 0, 1.0]) + calibration.R.T[:, 2]
-    y = np.cross(view, x)
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)])
 
 
 def _metric_pair(

@@ -170,9 +170,9 @@ def true_points(site: Site, calibrated: StereoRig) -> tuple[FloatArray, Mask]:
     """
     view = site.rig.views()[0]
     depth_m, labels = trace_scene(site.scene, view)
-    kernel = np.ones((_SAME_THING_PX, _SAME_THING_PX))
+    window = np.ones((_SAME_THING_PX, _SAME_THING_PX))
     numbers = labels.astype(np.float32)
-    inside = cv2.dilate(numbers, kernel) == cv2.erode(numbers, kernel)
+    inside = cv2.dilate(numbers, window) == cv2.erode(numbers, window)
     columns, rows = rectification_maps(calibrated.left)
     # of planes the inverse depth is linear in the image
     inverse = cv2.remap(

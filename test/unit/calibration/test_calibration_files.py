@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ from binocular_recon.calibration.session.calibration_files import (
     finish_saving,
     save_calibration,
 )
-from binocular_recon.errors import FileError
+from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.io.calibration_yaml import read_camera, read_rig
+from binocular_recon.stereo.point_covariance import joint_covariance
 from test.calibration_tools import solved
 
 
@@ -36,6 +39,86 @@ def test_files_hold_the_calibration(tmp_path: Path) -> None:
     content = json.loads((tmp_path / 'new' / 'rig' / 'calibration.json').read_text())
     assert content['baseline_m'] == result.calibration.baseline_m
     assert sorted(path.name for path in (tmp_path / 'new' / 'rig').iterdir()) == sorted(FILES)
+
+
+def test_the_covariance_comes_back(tmp_path: Path) -> None:
+    result = solved(0.005)
+    save_calibration(result, tmp_path)
+    content = json.loads((tmp_path / 'calibration.json').read_text())
+    assert content['parameters'] == list(result.calibration.parameters)
+    known = read_rig(tmp_path).covariance
+    assert known is not None and result.rig.covariance is not None
+    assert known.parameters == result.calibration.parameters
+    np.testing.assert_array_equal(known.matrix, result.rig.covariance.matrix)
+    free = result.estimate.problem.free
+    np.testing.assert_array_equal(known.matrix[np.ix_(free, free)], result.estimate.covariance)
+    assert not known.matrix[~free].any() and not known.matrix[:, ~free].any()
+    # a point of the cloud is as uncertain as the calibration says
+    points = np.array([[0.0, 0.0, 15.0], [1.5, 0.5, 15.0]])
+    sigma = np.sqrt(joint_covariance(points, read_rig(tmp_path))[[0, 1], 2, [0, 1], 2])
+    assert sigma == pytest.approx(result.depth_sigma_m(15.0, 0.0), rel=0.3)
+
+
+def test_a_folder_without_covariance_is_a_calibration_without_it(tmp_path: Path) -> None:
+    save_calibration(solved(0.005), tmp_path)
+    path = tmp_path / 'calibration.json'
+    content = json.loads(path.read_text())
+    del content['covariance']  # as written by earlier versions
+    path.write_text(json.dumps(content))
+    assert read_rig(tmp_path).covariance is None
+    path.unlink()
+    assert read_rig(tmp_path).covariance is None
+
+
+def _without_a_row(content: dict[str, Any]) -> None:
+    content['covariance'].pop()
+
+
+def _other_camera(content: dict[str, Any]) -> None:
+    content['left']['K'][0][0] += 1.0
+
+
+def _other_lens(content: dict[str, Any]) -> None:
+    content['right']['D'] = [0.0] * 4
+
+
+def _text(content: dict[str, Any]) -> None:
+    content['covariance'][0][0] = 'many'
+
+
+def _no_names(content: dict[str, Any]) -> None:
+    del content['parameters']
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        (_without_a_row, 'rows and columns'),
+        (_other_camera, r'the left camera is not that of left\.yaml'),
+        (_other_lens, r'the right camera is not that of right\.yaml'),
+        (_text, 'is not a calibration'),
+        (_no_names, "'parameters'"),
+    ],
+)
+def test_a_covariance_that_does_not_fit_is_refused(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    save_calibration(solved(0.005), tmp_path)
+    path = tmp_path / 'calibration.json'
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(CalibrationError, match=reason) as error:
+        read_rig(tmp_path)
+    assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize('text', ['', '{', '[' * 100_000, '\x00'])
+def test_a_damaged_calibration_json_is_refused(tmp_path: Path, text: str) -> None:
+    save_calibration(solved(0.005), tmp_path)
+    (tmp_path / 'calibration.json').write_text(text)
+    with pytest.raises(CalibrationError, match=r'is not a calibration: .*delete it to go on'):
+        read_rig(tmp_path)
 
 
 def test_the_calibration_before_is_kept(tmp_path: Path) -> None:

@@ -14,6 +14,48 @@ from binocular_recon.stereo.triangulation import Cloud
 @pytest.mark.parametrize(
     ('colour', 'padding', 'step', 'offsets'),
     [
+        (True, True, 32, {'sigma_z': 20, 'sigma_x': 24, 'sigma_y': 28, 'validity': 12}),
+        (True, False, 32, {'sigma_z': 16, 'sigma_x': 20, 'sigma_y': 24, 'validity': 28}),
+        (False, True, 28, {'sigma_z': 12, 'sigma_x': 16, 'sigma_y': 20, 'validity': 24}),
+        (False, False, 28, {'sigma_z': 12, 'sigma_x': 16, 'sigma_y': 20, 'validity': 24}),
+    ],
+)
+def test_sigmas_with_the_share_of_the_calibration(
+    colour: bool, padding: bool, step: int, offsets: dict[str, int]
+) -> None:
+    rng = np.random.default_rng(8)
+    points, sigma = rng.normal(size=(2, 3, 5, 3)).astype(np.float32)
+    validity = rng.integers(0, 9, (3, 5)).astype(np.uint8)
+    bgr = np.zeros((3, 5, 3), np.uint8)
+    message = SimpleNamespace(data=array.array('B'))
+    fill_cloud(
+        message, Cloud(points, sigma), None, SimpleNamespace, colour=bgr if colour else None,
+        validity=validity, padding=padding,
+    )  # fmt: skip
+    offsets = {'x': 0, 'y': 4, 'z': 8, **offsets}
+    if colour:
+        offsets['rgb'] = 16 if padding else 12
+    assert message.point_step == step
+    assert {field.name: field.offset for field in message.fields} == offsets
+    formats = ['<u4' if name in {'rgb', 'validity'} else '<f4' for name in offsets]
+    layout = np.dtype(
+        {
+            'names': list(offsets),
+            'formats': formats,
+            'offsets': list(offsets.values()),
+            'itemsize': step,
+        }
+    )
+    read = np.frombuffer(message.data, layout).reshape(3, 5)
+    for axis, name in enumerate('xyz'):
+        np.testing.assert_array_equal(read[name], points[..., axis])
+        np.testing.assert_array_equal(read[f'sigma_{name}'], sigma[..., axis])
+    np.testing.assert_array_equal(read['validity'], validity)
+
+
+@pytest.mark.parametrize(
+    ('colour', 'padding', 'step', 'offsets'),
+    [
         (True, True, 32, {'x': 0, 'y': 4, 'z': 8, 'rgb': 16, 'sigma_z': 20}),
         (True, False, 20, {'x': 0, 'y': 4, 'z': 8, 'rgb': 12, 'sigma_z': 16}),
         (False, True, 16, {'x': 0, 'y': 4, 'z': 8, 'sigma_z': 12}),

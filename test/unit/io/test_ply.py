@@ -44,6 +44,24 @@ def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
         assert vertex[6:] == (sigma[row, column], validity[row, column])
 
 
+def test_sigmas_with_the_share_of_the_calibration(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(2, 3, 3)).astype(np.float32)
+    sigma = rng.random((2, 3, 3)).astype(np.float32)
+    validity = np.ones((2, 3), np.uint8)
+    bgr = np.zeros((2, 3, 3), np.uint8)
+    for sigmas, share in ((sigma, 'matching and calibration'), (sigma[..., 2:], 'matching only')):
+        cloud = Cloud(points, sigmas)
+        write_ply(tmp_path / 'a.ply', cloud, validity, bgr)
+        header, body = (tmp_path / 'a.ply').read_bytes().split(b'end_header\n')
+        lines = header.decode().splitlines()
+        assert any(line.startswith('comment') and share in line for line in lines)
+        names = [line.split()[-1] for line in lines if 'property float scalar' in line]
+        assert names == [f'scalar_{name}' for name in (*cloud.sigmas_m, 'validity')]
+        vertices = np.frombuffer(body, f'(3,)<f4, (3,)u1, ({len(names)},)<f4')
+        np.testing.assert_array_equal(vertices['f2'][:, :-1], sigmas.reshape(6, -1))
+
+
 def test_a_cloud_without_points_is_a_valid_file(tmp_path: Path) -> None:
     points = np.full((2, 2, 3), np.nan, np.float32)
     zeros = np.zeros((2, 2), np.float32)
