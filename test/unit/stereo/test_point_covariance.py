@@ -196,18 +196,18 @@ def test_cloud_interpolates_the_variances(lens: str) -> None:
     assert cloud.calibrated and set(cloud.sigmas_m) == {'sigma_x', 'sigma_y', 'sigma_z'}
     depth_m = cloud.depth_m
     # beyond 60 degrees from the axis of a fisheye the interpolated variances are too large
-    away = np.abs(cloud.points_xyz[..., :2] / depth_m[..., None]).max(axis=-1)
-    away += rig.baseline_m / depth_m
-    known = np.argwhere(np.isfinite(depth_m) & (depth_m < 60) & (away < 1.7))
+    away = np.linalg.norm(cloud.points_xyz[..., :2], axis=-1) + rig.baseline_m
+    known = np.argwhere(np.isfinite(depth_m) & (depth_m < 60) & (away < 1.7 * depth_m))
     picked = rng.choice(known, 400, replace=False)
     points = cloud.points_xyz[picked[:, 0], picked[:, 1]].astype(np.float64)
     index = np.arange(len(points))
     exact = joint_covariance(points, rig, 0.1)[index, :, index, :]
     sigmas = np.sqrt(np.diagonal(exact, axis1=1, axis2=2))
     stated = cloud.sigma_m[picked[:, 0], picked[:, 1]]
-    ratio = stated / sigmas
-    assert np.median(np.abs(ratio - 1)) < 0.01
-    assert np.quantile(np.abs(ratio - 1), 0.99) < 0.05
+    assert np.median(np.abs(stated / sigmas - 1)) < 0.01
+    # across the ray a variance may be nearly 0 somewhere between two nodes
+    off = np.abs(stated - sigmas) / np.linalg.norm(sigmas, axis=-1, keepdims=True)
+    assert np.quantile(off, 0.99) < 0.03
 
 
 def test_points_less_certain_than_a_third_of_their_depth_are_left_out() -> None:
