@@ -35,15 +35,20 @@ from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
 NOISE_PX = 0.2
+SCALE = 0.15
 
 
 @lru_cache
 def calibration() -> tuple[StereoCalibration, StereoRig]:
-    """Return a calibration by rods, small images, and its rig."""
-    raw = survey_rig(0.15)
+    """Return a calibration of small images, and its rig, known as well as of large ones."""
+    raw = survey_rig(SCALE)
     board = with_placement(paper_board(), PLACEMENT_M)
     result = calibrate(simulated_marks(raw, board, BOARDS, 3), board, raw.left.size)
-    return result.calibration, result.rig
+    known = result.rig.covariance
+    assert known is not None
+    # marks scatter by as many px in images of any size
+    known = replace(known, matrix=SCALE**2 * known.matrix)
+    return result.calibration, replace(result.rig, covariance=known)
 
 
 def matched_site(seed: int, noise_px: float = NOISE_PX) -> SiteSigmas:
