@@ -151,11 +151,14 @@ class RigCovariance:
                 f' {", ".join(INTRINSICS)} and the distortion coefficients of the left and of the'
                 f' right camera, then {", ".join(POSE)}; calibrate again'
             )
+        given = len(self.coefficients)
         for camera in (self.left, self.right):
-            if camera.D[len(self.coefficients) :].any():
+            kin = (lens for lens in LENSES.values() if isinstance(lens, type(camera.lens)))
+            possible = {count for lens in kin for count in lens.counts if 0 < count <= 8}
+            if given not in possible or camera.D[given:].any():
                 raise CalibrationError(
-                    f'the covariance is that of {len(self.coefficients)} distortion coefficients,'
-                    f' the camera has {camera.D.size}; calibrate again'
+                    f'the covariance is that of {given} distortion coefficients, the camera has'
+                    f' {camera.D.size} of {camera.distortion_model}; calibrate again'
                 )
         if self.matrix.shape != (count, count) or not np.isfinite(self.matrix).all():
             raise CalibrationError(

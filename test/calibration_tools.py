@@ -15,12 +15,13 @@ from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
-from binocular_recon.camera import FloatArray
+from binocular_recon.camera import FloatArray, StereoRig, parameter_names
 from binocular_recon.evaluation.calibration.self_check import (
     simulated_boards,
     simulated_captures,
     true_calibration,
 )
+from binocular_recon.io.files import write_json
 from binocular_recon.simulation.rig import fisheye_rig, survey_rig
 from binocular_recon.simulation.rods import (
     PlacedBoard,
@@ -209,3 +210,16 @@ def naive_bound_m(captured: list[tuple[FloatArray, RodBoard]], noise_px: float) 
     )
     covariance = np.linalg.inv(information)
     return np.asarray(np.sqrt(np.einsum('ij,jk,ik->i', J, covariance, J)).reshape(3, 35))
+
+
+def write_covariance(folder: Path, rig: StereoRig) -> None:
+    """Write a ``calibration.json`` beside the camera files of a rig, with small uncertainties."""
+    names = parameter_names(('k1', 'k2', 'p1', 'p2', 'k3'))
+    cameras = {
+        side: {'K': camera.K.tolist(), 'D': camera.D.tolist()}
+        for side, camera in (('left', rig.left), ('right', rig.right))
+    }
+    # 0.01 px and 10 mm; 1e-4 of distortion and rad
+    matrix = np.diag([1e-8 if name[0] in 'kpt' else 1e-4 for name in names])
+    content = {**cameras, 'parameters': list(names), 'covariance': matrix.tolist()}
+    write_json(folder / 'calibration.json', content)

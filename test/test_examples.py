@@ -23,6 +23,7 @@ from binocular_recon.io import write_rig
 from binocular_recon.io.bags import Bag, StereoBag, find_stereo_topics
 from binocular_recon.nodes.runtime import options
 from binocular_recon.simulation import CaptureOptions, simulate_capture, survey_rig
+from test.calibration_tools import write_covariance
 from test.conftest import REPOSITORY
 
 LANGUAGES = {'sh', 'python', 'yaml', 'text'}
@@ -103,6 +104,7 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for side, image in zip(('left', 'right'), frame.images(), strict=True):
             cv2.imwrite(str(folder / f'{side}.png'), image)
         write_rig(folder / 'rig', frame.rig, ('left', 'right'))
+        write_covariance(folder / 'rig', frame.rig)
     # half the size of the survey rig's images, so boards stand at half the distance
     rods, near = load_rods(folder / 'config' / 'rods.yaml'), CaptureOptions(depth_m=(3.0, 8.0))
     for index in range(4):

@@ -21,7 +21,7 @@ def project_derivatives(
     K : (3, 3) float64
         Intrinsics, px.
     D : (n,) float64
-        All coefficients of the lens that are calibrated.
+        Coefficients of the lens, as many as it has or fewer.
 
     Returns
     -------
@@ -41,5 +41,5 @@ def project_derivatives(
     by_intrinsics = np.zeros((*x.shape, 2, 4 + D.size))
     by_intrinsics[..., 0, 0], by_intrinsics[..., 1, 1] = distorted[..., 0], distorted[..., 1]
     by_intrinsics[..., 0, 2] = by_intrinsics[..., 1, 3] = 1
-    by_intrinsics[..., 4:] = by_coefficient
+    by_intrinsics[..., 4:] = by_coefficient[..., : D.size]
     return focal * distorted + K[:2, 2], by_point, by_intrinsics

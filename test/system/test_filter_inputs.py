@@ -5,26 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from stereo_msgs.msg import DisparityImage
 
-from binocular_recon.camera import parameter_names
-from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
 from binocular_recon.images import Image as ImageArray
-from binocular_recon.io.calibration_yaml import read_rig, write_rig
-from binocular_recon.io.files import write_json
 from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.stereo.filtering.wls_filter import filter_disparity
-from binocular_recon.stereo.matching import disparity_step_px, match
+from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.rectification import Rectifier
-from binocular_recon.stereo.triangulation import triangulate
 from test import stereo_image_proc
 from test.system.chain import reliable
 from test.system.conftest import StartNode
@@ -250,61 +245,3 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
 
 def _holds(node: NodeProcess, text: str) -> bool:
     return text in node.text()
-
-
-def test_a_calibration_folder_adds_the_share_of_the_calibration(
-    graph: Graph, start_node: StartNode, tmp_path: Path
-) -> None:
-    """Points carry sigma_x, sigma_y and sigma_z of matching and calibration together."""
-    calibrated = raw_rig()
-    names = parameter_names(('k1', 'k2', 'p1', 'p2', 'k3'))
-    write_rig(tmp_path, calibrated)
-    cameras = {
-        side: {'K': camera.K.tolist(), 'D': camera.D.tolist()}
-        for side, camera in (('left', calibrated.left), ('right', calibrated.right))
-    }
-    matrix = np.diag([1e-8 if name[0] in 'kpt' else 1e-4 for name in names])
-    write_json(
-        tmp_path / 'calibration.json',
-        {**cameras, 'parameters': list(names), 'covariance': matrix.tolist()},
-    )
-    qos = reliable(list(KINDS), depth=FRAMES)
-    node = start_node('wls_filter_node', calibration=tmp_path, image_transport='compressed', **qos)
-    matcher = Matcher(graph, node)
-    rectify = Rectifier(read_rig(tmp_path))
-    left, right = rectify(*image_pair(3))
-    matched = match(grey(left), grey(right), CONFIG)
-    disparity = DisparityImage()
-    fill_disparity(
-        disparity,
-        matched.disparity_px,
-        rectify.rig,
-        CONFIG.limits_px,
-        header(3),
-        step_px=disparity_step_px(CONFIG),
-    )
-    with graph.listening(('/rig/points2', PointCloud2)) as (points,):
-        matcher.wait_for_filter()
-        matcher.send(**messages(3, left, rectify, disparity))
-        (message,) = points.wait(1)
-    filtered = filter_disparity(
-        matched.disparity_px,
-        np.isfinite(matched.disparity_px).astype(np.float32),
-        grey(left),
-        FilterConfig(),
-        limits_px=CONFIG.limits_px,
-    )
-    expected = triangulate(
-        filtered.disparity_px, filtered.sigma_px, filtered.validity, rectify.rig, CloudConfig()
-    )
-    assert expected.calibrated
-    places = {field.name: field.offset for field in message.fields}
-    for name, sigma in expected.sigmas_m.items():
-        layout = np.dtype(
-            {'names': ['s'], 'formats': ['<f4'], 'offsets': [places[name]],
-             'itemsize': message.point_step}
-        )  # fmt: skip
-        read = np.frombuffer(message.data, layout)['s'].reshape(sigma.shape)
-        np.testing.assert_allclose(read, sigma, rtol=2e-2)
-    facts = {item.key: item.value for item in graph.wait_for_status('wls_filter_node', '').values}
-    assert facts['sigma'] == 'matching and calibration'

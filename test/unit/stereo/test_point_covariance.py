@@ -11,7 +11,7 @@ import pytest
 from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.metric_rectification import metric_rig
-from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
+from binocular_recon.camera import FloatArray, RigCovariance, StereoRig, parameter_names
 from binocular_recon.config import CloudConfig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.measurement.lengths import Length, length_between
@@ -210,6 +210,17 @@ def test_cloud_interpolates_the_variances(lens: str) -> None:
     assert np.quantile(off, 0.99) < 0.03
 
 
+def test_coefficients_that_are_not_calibrated_may_be_left_out() -> None:
+    """As in a covariance of another program, of five coefficients."""
+    _, rig = rig_of('plumb_bob')
+    assert rig.covariance is not None
+    names = parameter_names(('k1', 'k2', 'p1', 'p2', 'k3'))
+    kept = [rig.covariance.parameters.index(name) for name in names]
+    known = RigCovariance(rig.left, rig.right, names, rig.covariance.matrix[np.ix_(kept, kept)])
+    fewer = StereoRig(rig.left, rig.right, covariance=known)
+    np.testing.assert_allclose(joint_covariance(POINTS, fewer), joint_covariance(POINTS, rig))
+
+
 def test_points_less_certain_than_a_third_of_their_depth_are_left_out() -> None:
     calibration, calibrated = rig_of('plumb_bob')
     assert calibrated.covariance is not None
@@ -264,5 +275,9 @@ def test_a_matrix_that_is_no_covariance_is_refused() -> None:
     ):
         with pytest.raises(CalibrationError, match=reason):
             RigCovariance(known.left, known.right, known.parameters, matrix)
+    for coefficients in ((), ('k1', 'k2', 'k3'), tuple(f'k{i}' for i in range(12))):
+        names = parameter_names(coefficients)
+        with pytest.raises(CalibrationError, match=f'is that of {len(coefficients)} distortion'):
+            RigCovariance(known.left, known.right, names, np.eye(len(names)))
     with pytest.raises(CalibrationError, match='the parameters of the covariance are'):
         RigCovariance(known.left, known.right, known.parameters[::-1], known.matrix)
