@@ -49,13 +49,15 @@ def length_between(points_xyz: FloatArray, covariance: FloatArray) -> Length:
     Raises
     ------
     ImageError
-        If the points coincide: a length of 0 has no direction.
+        If a point is missing (NaN), or the points coincide: a length of 0 has no direction.
 
     Notes
     -----
     To first order: too small for lengths that are not several times their standard deviation.
 
     """
+    if not np.isfinite(points_xyz).all():
+        raise ImageError('a pixel of the length has no point; pick one that was measured')
     difference = points_xyz[1] - points_xyz[0]
     length = float(np.linalg.norm(difference))
     if not length > 0:

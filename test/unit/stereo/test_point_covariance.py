@@ -179,6 +179,8 @@ def test_noise_of_matching_is_along_the_ray_and_independent() -> None:
 def test_a_length_between_the_same_point_is_refused() -> None:
     with pytest.raises(ImageError, match='pick two different points'):
         length_between(np.ones((2, 3)), np.zeros((2, 3, 2, 3)))
+    with pytest.raises(ImageError, match='pick one that was measured'):
+        length_between(np.full((2, 3), np.nan), np.zeros((2, 3, 2, 3)))
 
 
 @pytest.mark.parametrize('lens', RIGS)
