@@ -47,8 +47,8 @@ format: setup ## format the code and mend what the linter can
 	.venv/bin/ruff format
 	.venv/bin/ruff check --fix
 
-unit: setup ## unit tests only
-	$(PYTEST) -q test/unit
+unit: setup ## unit tests only, on all cores
+	$(PYTEST) -q -n auto --dist loadfile test/unit
 
 kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m 'kernel and not large' -W ignore::RuntimeWarning test/unit
