@@ -26,6 +26,7 @@ from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
+from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
 
@@ -121,14 +122,15 @@ def summary(result: CalibrationResult) -> str:
     lines += [f'note: {warning}' for warning in result.warnings]
     rows = content['row_difference_px']
     sigma, calibration = result.sigma, result.calibration
-    depths = (f'{1e3 * result.depth_sigma_m(z):.3g} mm at {z:g} m' for z in DEPTHS_M)
+    depths = (f'{significant(1e3 * result.depth_sigma_m(z))} mm at {z:g} m' for z in DEPTHS_M)
     means = ', '.join(f'{name} {values["mean"]:.3f}' for name, values in rows.items())
     lines += [
         f'row difference, mean: {means} px',
         (
-            f'baseline {1e3 * calibration.baseline_m:.2f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
-            f' focal length {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
-            f' {sigma["fx_left_px"]:.2g} px, stereo RMS {result.rms_px:.4f} px'
+            f'baseline {1e3 * calibration.baseline_m:.2f} +-'
+            f' {significant(1e3 * sigma["baseline_m"], 2)} mm, focal length'
+            f' {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
+            f' {significant(sigma["fx_left_px"], 2)} px, stereo RMS {result.rms_px:.4f} px'
         ),
         f'depth sigma: {", ".join(depths)}',
     ]

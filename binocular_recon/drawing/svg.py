@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 
 from binocular_recon.camera import FloatArray
+from binocular_recon.number_text import plain
 
 INK, FAINT, GRID = '#22313f', '#71808f', '#e4e9ee'
 # Most numbers in a image need no more digits than a tenth of a pixel.
@@ -129,7 +130,7 @@ class Chart:
             ends = np.array([[value, self._y[0]], [value, self._y[1]]])
             self.line(ends, GRID, 1)
             ((x, y),) = self.place(ends[:1])
-            self._write(x, y + 15, f'{value:g}', FAINT)
+            self._write(x, y + 15, plain(value), FAINT)
         self._write((self._left + self._right) / 2, self.size[1] - 5, label)
 
     def _y_axis(self, label: str) -> None:
@@ -137,7 +138,7 @@ class Chart:
             ends = np.array([[self._x[0], value], [self._x[1], value]])
             self.line(ends, GRID, 1)
             ((x, y),) = self.place(ends[:1])
-            self._write(x - 6, y + 4, f'{value:g}', FAINT, 'end')
+            self._write(x - 6, y + 4, plain(value), FAINT, 'end')
         middle = (self._top + self._bottom) / 2
         self._parts.append(
             f'<text x="14" y="{middle}" fill="{INK}" text-anchor="middle"'

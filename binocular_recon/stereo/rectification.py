@@ -12,6 +12,7 @@ import numpy.typing as npt
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.number_text import significant
 
 Map = npt.NDArray[np.float32]
 
@@ -150,8 +151,9 @@ def _check_rotation(camera: Camera, side: str) -> None:
     deviation = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
     if deviation > _ROTATION_TOLERANCE or np.linalg.det(camera.R) < 0:
         raise CalibrationError(
-            f'{side} camera: R is not a rotation (R R^T is {deviation:.2g} from the identity,'
-            f' determinant {np.linalg.det(camera.R):.2g}); calibrate as a stereo rig'
+            f'{side} camera: R is not a rotation (R R^T is {significant(deviation, 2)} from the'
+            f' identity, determinant {significant(np.linalg.det(camera.R), 2)}); calibrate'
+            ' as a stereo rig'
         )
 
 

@@ -14,6 +14,7 @@ from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import DISPARITY_SIGMA_PX, CalibrationResult
 from binocular_recon.camera import FloatArray
 from binocular_recon.drawing.svg import FAINT, INK, Chart, shade
+from binocular_recon.number_text import plain, significant
 
 # The three methods, with the colours they have throughout the report.
 METHODS = {'planar': '#9aa7b4', 'corrected': '#e0a13a', 'adjusted': '#0b7a75'}
@@ -117,7 +118,11 @@ def depth_coverage(result: CalibrationResult) -> str:
     gap = 0.04 * (edges[1] - edges[0])
     for count, low, high in zip(counts, edges, edges[1:], strict=False):
         corners = np.array([[low + gap, 0], [high - gap, count]])
-        chart.box(corners, METHODS['adjusted'], f'{count} marks at {low:.3g} to {high:.3g} m')
+        chart.box(
+            corners,
+            METHODS['adjusted'],
+            f'{count} marks at {significant(low)} to {significant(high)} m',
+        )
     return chart.svg('Marks at each distance')
 
 
@@ -171,7 +176,7 @@ def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:
     starts = pixels[seen]
     chart.strokes(starts, starts + factor * residuals[seen], '#c8553d')
     chart.dots(starts, INK, 1.2, 0.8)
-    return chart.svg(f'Residuals in the {side} image, {factor:g} times enlarged'), factor
+    return chart.svg(f'Residuals in the {side} image, {plain(factor)} times enlarged'), factor
 
 
 def depth_sigma(result: CalibrationResult) -> str:
@@ -222,7 +227,7 @@ def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, flo
             color = shade((sigma - low) / max(high - low, 1e-12))
             chart.box(corners, color, f'{1e3 * sigma:.1f} mm')
     chart.frame()
-    return chart.svg(f'Depth sigma at {depth_m:g} m over the left image'), low, high
+    return chart.svg(f'Depth sigma at {plain(depth_m)} m over the left image'), low, high
 
 
 def _image_chart(result: CalibrationResult) -> Chart:

@@ -11,7 +11,7 @@ import numpy as np
 
 from binocular_recon.calibration.report import _charts as charts
 from binocular_recon.calibration.report._charts import METHODS
-from binocular_recon.calibration.report._numbers import numbers
+from binocular_recon.calibration.report._parameters import parameters
 from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import (
     DISPARITY_SIGMA_PX,
@@ -19,6 +19,7 @@ from binocular_recon.calibration.result import (
     row_statistics,
 )
 from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
+from binocular_recon.number_text import plain, significant
 
 _UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
@@ -51,7 +52,7 @@ def render_report(result: CalibrationResult, images: Sequence[BoardImage] = ()) 
         _residuals(result),
         _next_boards(result),
         _images(images),
-        numbers(result),
+        parameters(result),
     )
     return page('Stereo calibration', sections, 'Uncertainties are one standard deviation.')
 
@@ -63,14 +64,17 @@ def _summary(result: CalibrationResult) -> str:
     width, height = calibration.image_size
     noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
     cards = (
-        (f'{1e3 * result.depth_sigma_m(depth):.3g} mm', f'depth sigma at {depth:g} m'),
+        (
+            f'{significant(1e3 * result.depth_sigma_m(depth))} mm',
+            f'depth sigma at {plain(depth)} m',
+        ),
         (
             f'{1e3 * calibration.baseline_m:.2f} mm',
-            f'baseline, ± {1e3 * sigma["baseline_m"]:.2g} mm',
+            f'baseline, ± {significant(1e3 * sigma["baseline_m"], 2)} mm',
         ),
         (
             f'{calibration.K_left[0, 0]:.0f} / {calibration.K_right[0, 0]:.0f} px',
-            f'focal length left / right, ± {sigma["fx_left_px"]:.2g} px',
+            f'focal length left / right, ± {significant(sigma["fx_left_px"], 2)} px',
         ),
         (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
         (
@@ -101,7 +105,7 @@ def _depth(result: CalibrationResult) -> str:
     rows = []
     for z in np.linspace(0.5, 1.5, _DEPTH_ROWS) * depth:
         sigmas = (1e3 * result.depth_sigma_m(z, noise) for noise in (0.0, DISPARITY_SIGMA_PX))
-        rows.append((f'{z:.3g} m', *(f'{sigma:.3g} mm' for sigma in sigmas)))
+        rows.append((f'{significant(z)} m', *(f'{significant(sigma)} mm' for sigma in sigmas)))
     return section(
         'How well depth will be known',
         f'One standard deviation over the middle half of the images, from the covariance of the'
@@ -116,8 +120,8 @@ def _depth(result: CalibrationResult) -> str:
         ),
         figure(
             image,
-            f"The calibration's own share at {depth:g} m over the left image:"
-            f' {1e3 * low:.3g} mm (light) to {1e3 * high:.3g} mm (dark).',
+            f"The calibration's own share at {plain(depth)} m over the left image:"
+            f' {significant(1e3 * low)} mm (light) to {significant(1e3 * high)} mm (dark).',
         ),
         table(('distance', 'calibration alone', 'with disparity noise'), rows),
     )
@@ -221,8 +225,8 @@ def _coverage(result: CalibrationResult) -> str:
         )
     return section(
         'Coverage',
-        f'Distortion and depth are known where marks were seen: {depth.min():.3g} to'
-        f' {depth.max():.3g} m.',
+        f'Distortion and depth are known where marks were seen: {significant(depth.min())}'
+        f' to {significant(depth.max())} m.',
         *figures,
         figure(charts.depth_coverage(result), 'Marks seen by both cameras at each distance.'),
     )
@@ -232,7 +236,9 @@ def _residuals(result: CalibrationResult) -> str:
     figures = []
     for side in ('left', 'right'):
         image, factor = charts.residual_vectors(result, side)
-        figures.append(figure(image, f'{side.capitalize()} image, {factor:g} times enlarged.'))
+        figures.append(
+            figure(image, f'{side.capitalize()} image, {plain(factor)} times enlarged.')
+        )
     return section(
         'Residuals after adjustment',
         'Arrows in all directions are noise; a pattern would mean distortion that the model does'

@@ -10,7 +10,8 @@ import numpy as np
 from binocular_recon.evaluation.paper.runs import MARK_NOISE_PX, PaperRun
 from binocular_recon.evaluation.paper.site import PICK_NOISE_PX
 from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
-from binocular_recon.evaluation.tables import figure, markdown_table
+from binocular_recon.evaluation.tables import markdown_table
+from binocular_recon.number_text import fixed
 
 # Table 1: uncorrected left and right row, corrected left and right row of six points, px.
 PAPER_ROWS = (
@@ -69,7 +70,7 @@ def table_1(run: PaperRun) -> str:
     header += ['ours: left', 'right', 'corrected left', 'right', 'adjusted left', 'right']
     pairs = zip(PAPER_ROWS, run.rows, strict=True)
     rows = [
-        [f'point {i + 1}', *(f'{row}' for row in paper), *(figure(row) for row in ours)]
+        [f'point {i + 1}', *(f'{row}' for row in paper), *(fixed(row) for row in ours)]
         for i, (paper, ours) in enumerate(pairs)
     ]
     rows.append(['mean difference', *_differences(PAPER_ROWS, 1), *_differences(run.rows, 2)])
@@ -90,10 +91,10 @@ def table_2(runs: Sequence[PaperRun]) -> str:
     paper = [[board[i] for board in PAPER_BOARDS] for i in range(2)]
     everything = [*paper, *columns]
     rows = [
-        [f'{i + 1}', *(figure(c[i], 3) if i < len(c) else '' for c in everything)]
+        [f'{i + 1}', *(fixed(c[i], 3) if i < len(c) else '' for c in everything)]
         for i in range(count)
     ]
-    rows.append(['mean', *(figure(float(np.mean(column)), 3) for column in everything)])
+    rows.append(['mean', *(fixed(float(np.mean(column)), 3) for column in everything)])
     return markdown_table(header, rows)
 
 
@@ -108,18 +109,18 @@ def table_3(runs: Sequence[PaperRun]) -> str:
         ours = [mean_error_mm(_of(runs, placement), 'errors_mm', name) for placement in placements]
         floor = mean_error_mm(runs, 'floor_mm', name)
         values = (PAPER_ERRORS_MM[name], *ours, floor)
-        rows.append([NAMES[name], *(figure(value) for value in values)])
+        rows.append([NAMES[name], *(fixed(value) for value in values)])
     means = [mean_of_three_mm(_of(runs, placement), 'errors_mm') for placement in placements]
     paper = float(np.mean(list(PAPER_ERRORS_MM.values())))
     values = (paper, *means, mean_of_three_mm(runs, 'floor_mm'))
-    rows.append(['mean of the three', *(figure(value) for value in values)])
+    rows.append(['mean of the three', *(fixed(value) for value in values)])
     ground = [mean_of_three_mm(_of(runs, p), 'errors_mm', 'on_ground_mm') for p in placements]
-    rows.append(['mean, soles on the ground plane', '', *(figure(value) for value in ground), ''])
+    rows.append(['mean, soles on the ground plane', '', *(fixed(value) for value in ground), ''])
     for key, text in (('on_ground_mm', 'sole on the ground plane'), ('automatic_mm', 'automatic')):
         for name in PEOPLE:
             ours = [mean_error_mm(_of(runs, placement), key, name) for placement in placements]
             label = f'{NAMES[name].split(",")[0]}, {text}'
-            rows.append([label, '', *(figure(value) for value in ours), ''])
+            rows.append([label, '', *(fixed(value) for value in ours), ''])
     return markdown_table(header, rows)
 
 
@@ -138,7 +139,7 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
     for placement in sorted({run.placement_m for run in simulated}):
         boards = [board for run in _of(simulated, placement) for board in run.boards_px]
         values = ' / '.join(
-            figure(float(np.mean([board[f'{stage}_px'] for board in boards])), 3)
+            fixed(float(np.mean([board[f'{stage}_px'] for board in boards])), 3)
             for stage in ('uncorrected', 'corrected', 'adjusted')
         )
         means.append(f'{_placement(placement)}: {values}')
@@ -186,4 +187,4 @@ def _differences(rows: Sequence[Sequence[float]], digits: int) -> list[str]:
     differences = np.abs(table[:, 0::2] - table[:, 1::2])
     # marks that were not found say nothing
     means = np.ma.masked_invalid(differences).mean(axis=0).filled(np.nan)
-    return [cell for mean in means for cell in ('', figure(float(mean), digits))]
+    return [cell for mean in means for cell in ('', fixed(float(mean), digits))]
