@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from binocular_recon.calibration.report import _charts as charts
-from binocular_recon.calibration.report._charts import METHODS
+from binocular_recon.calibration.report._charts import METHODS, UNCORRECTED
 from binocular_recon.calibration.report._parameters import parameters
 from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import (
@@ -21,7 +21,6 @@ from binocular_recon.calibration.result import (
 from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
 from binocular_recon.number_text import plain, significant
 
-_UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
 # Fields of a image whose coverage is counted.
@@ -170,7 +169,7 @@ def _rows(result: CalibrationResult) -> str:
         figure(
             charts.row_differences(result),
             legend(
-                ('uncorrected', _UNCORRECTED),
+                ('uncorrected', UNCORRECTED),
                 ('corrected', METHODS['corrected']),
                 ('adjusted', METHODS['adjusted']),
             ),
@@ -277,8 +276,7 @@ def _images(images: Sequence[BoardImage]) -> str:
 
 def _covered(result: CalibrationResult, side: str) -> float:
     """Return the share of the fields of a image that hold a mark."""
-    uv = slice(0, 2) if side == 'left' else slice(2, 4)
-    pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
+    pixels = charts.of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     width, height = result.calibration.image_size
     columns, rows = (pixels / [width / _FIELDS[0], height / _FIELDS[1]]).astype(int).T

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 
@@ -13,16 +14,16 @@ from binocular_recon.errors import ConfigError
 from binocular_recon.options import Options, option
 
 
+def _queue_size(default: int, remark: str = '') -> Any:
+    text = f'Messages kept per input while they wait for the rest of their frame{remark}'
+    return option(default, text, minimum=1, maximum=1000)
+
+
 @dataclass(frozen=True)
 class QueueOptions(Options):
     """How long messages wait for others with a matching stamp."""
 
-    queue_size: int = option(
-        5,
-        'Messages kept per input while they wait for the rest of their frame',
-        minimum=1,
-        maximum=1000,
-    )
+    queue_size: int = _queue_size(5)
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,8 @@ class InputOptions(QueueOptions):
 class LateInputOptions(InputOptions):
     """How a node combines images with data that another node computes from them."""
 
-    queue_size: int = option(
-        60,
-        'Messages kept per input while they wait for the rest of their frame; images wait for'
-        ' their disparities, so it must exceed matching time times frame rate',
-        minimum=1,
-        maximum=1000,
+    queue_size: int = _queue_size(
+        60, '; images wait for their disparities, so it must exceed matching time times frame rate'
     )
 
 
