@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.calibration.model import COEFFICIENTS, DEFAULT_LENS
+from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.session.calibration_files import save_calibration
@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--image-size', metavar='WxH', help='size of the images that --points were found in'
     )
     parser.add_argument(
-        '--lens', default=DEFAULT_LENS, choices=tuple(COEFFICIENTS),
-        help='lens of both cameras; equidistant is a fisheye lens (%(default)s)',
+        '--lens', default=DEFAULT_LENS, choices=calibrated_lenses(),
+        help=f'{lens_text()} (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
         '--self-check', action='store_true',

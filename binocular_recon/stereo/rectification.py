@@ -38,11 +38,7 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
         Raw column and row, px; pixel centres are at whole numbers.
 
     """
-    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
-    map_x, map_y = module.initUndistortRectifyMap(
-        camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
-    )
-    return map_x, map_y
+    return camera.lens.raw_pixels(camera.K, camera.D, camera.R, camera.P[:, :3], camera.size)
 
 
 def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:

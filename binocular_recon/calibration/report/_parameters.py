@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from html import escape
 
-from binocular_recon.calibration.adjustment.distortion import default_model
-from binocular_recon.calibration.model import COEFFICIENTS
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.drawing.page import section, table
 from binocular_recon.number_text import significant
@@ -21,7 +19,7 @@ def parameters(result: CalibrationResult) -> str:
     for name, place in (('fx', (0, 0)), ('fy', (1, 1)), ('cx', (0, 2)), ('cy', (1, 2))):
         values = (f'{K[s][place]:.3f} ± {significant(sigma[f"{name}_{s}_px"], 2)} px' for s in K)
         rows.append((name, *values))
-    for i, name in enumerate(COEFFICIENTS[calibration.lens]):
+    for i, name in enumerate(calibration.lens_model.COEFFICIENTS):
         if f'{name}_left' in sigma:
             values = (f'{D[s][i]:.6f} ± {significant(sigma[f"{name}_{s}"], 1)}' for s in D)
             rows.append((name, *values))
@@ -45,7 +43,7 @@ def parameters(result: CalibrationResult) -> str:
         'Numbers',
         'Values with one standard deviation. Distortion models are compared by the Bayesian'
         f' information criterion (lower is better); a larger model than'
-        f' {default_model(calibration.lens)} is taken only on strong evidence.',
+        f' {calibration.lens_model.default_model} is taken only on strong evidence.',
         table(('', 'left', 'right'), rows),
         table(('pose', 'right from left'), pose),
         table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),

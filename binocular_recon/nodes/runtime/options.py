@@ -8,7 +8,7 @@ from typing import Any
 
 import cv2
 
-from binocular_recon.calibration.model import COEFFICIENTS, DEFAULT_LENS
+from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import Options, option
@@ -148,11 +148,7 @@ class RodOptions(Options):
     """Which rods are captured and where the calibration is kept."""
 
     rods: str = option('', 'File rods.yaml that describes the rods')
-    lens: str = option(
-        DEFAULT_LENS,
-        'Lens of both cameras; equidistant is a fisheye lens',
-        choices=tuple(COEFFICIENTS),
-    )
+    lens: str = option(DEFAULT_LENS, lens_text().capitalize(), choices=calibrated_lenses())
     output: str = option('', 'Folder of the calibration; captures are kept in captures/ under it')
     left_camera_name: str = option('left', 'Name of the left camera in its calibration file')
     right_camera_name: str = option('right', 'Name of the right camera in its calibration file')
