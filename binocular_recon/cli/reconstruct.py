@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--max-frames', type=positive(int), metavar='N', help='stop after N frames'
     )
     parser.add_argument(
-        '--pictures',
+        '--drawings',
         action='store_true',
         help='also draw each cloud beside the left image: NNNNNN_cloud.png',
     )
@@ -126,7 +126,7 @@ def run(args: argparse.Namespace) -> None:
         far_m=math.inf if args.far is None else args.far,
     )
     _check_input_options(args)
-    formats = ['drawing'] if args.pictures else []
+    formats = ['drawing'] if args.drawings else []
     config = chain_config(args)
     print(
         reconstruct_bag(

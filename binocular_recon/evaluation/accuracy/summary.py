@@ -90,7 +90,7 @@ def _mean_accuracy(scores: Sequence[Score], region: str) -> Accuracy | None:
 def overview(means: Sequence[Mean]) -> str:
     """Return the main table: every method over all pixels with ground truth."""
     header = ['mean over scenes, all pixels', 'bad-1.0 %', 'bad-2.0 %', 'bad-3.0 %']
-    header += ['mean error px', 'of filled px', 'density %', 'time ms', 'relative']
+    header += ['mean error px', 'of filled pixels px', 'density %', 'time ms', 'relative']
     rows = []
     for mean in means:
         everywhere = mean.regions['everywhere']
@@ -197,7 +197,7 @@ def sigma_by_bin(scenes: Sequence[SceneScores]) -> list[str]:
             kept = pixels * (1 - wrong)
             rows.append(
                 [
-                    f'{edges.low_px:g} - {edges.high_px:g}',
+                    _range(edges.low_px, edges.high_px),
                     fixed(100 * pixels.sum() / total),
                     fixed(_pooled_rms([one.predicted_px for one in bins], kept), 3),
                     fixed(_pooled_rms([one.measured_px for one in bins], kept), 3),
@@ -206,6 +206,10 @@ def sigma_by_bin(scenes: Sequence[SceneScores]) -> list[str]:
             )
         tables.append(markdown_table(header, rows))
     return tables
+
+
+def _range(low: float, high: float) -> str:
+    return f'{low:g} - {high:g}' if math.isfinite(high) else f'{low:g} or more'
 
 
 def _pooled_rms(values: Sequence[float], weights: object) -> float:
@@ -232,7 +236,7 @@ def exposure_table(changes: Sequence[ExposureChange]) -> str:
                 *(f'{x:+.1f}' for x in ((after - before).mean(), (after - before).max())),
             ]
         )
-    header = ['other exposure', 'bad-2.0 %', 'darker right', 'change', 'worst scene']
+    header = ['right image darker', 'bad-2.0 % before', 'after', 'change', 'worst scene']
     return markdown_table(header, rows) if rows else ''
 
 
@@ -250,7 +254,7 @@ def crop_table(changes: Sequence[CropChange]) -> str:
             row.append(f'{fixed(largest, 3)} / {fixed(p99, 3)} / {fixed(appeared)}')
         rows.append(row)
     header = [
-        'change by cropping: largest px / 99 % of pixels px / validity %',
+        'effect of cropping: max px / p99 px / changed fill %',
         *(f'{depth} px inside' for depth in depths),
     ]
     return markdown_table(header, rows) if rows else ''

@@ -79,7 +79,7 @@ def summarise_scores(scores: list[BoardScore]) -> dict[str, Any]:
         'marks_measured': len(errors),
         'wrong_identities': sum(score.wrong for score in scores),
         'rms_px': {'x': float(rms[0]), 'y': float(rms[1])},
-        'seconds_per_picture': {
+        'seconds_per_image': {
             'median': float(np.median(seconds)),
             'p90': float(np.percentile(seconds, 90)),
         },

@@ -212,7 +212,7 @@ def test_boards_are_found_by_name(tmp_path: Path) -> None:
     assert found == [('a', True, False), ('b', False, False)]
 
 
-def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
+def test_two_images_of_one_side_are_named(tmp_path: Path) -> None:
     for name in ('left_1.png', 'left_1.jpg', 'right_1.png'):
         (tmp_path / name).write_bytes(b'')
     (files,) = find_boards(tmp_path)
@@ -222,7 +222,7 @@ def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
     assert reading.reason == 'there are 2 left images (left_1.jpg, left_1.png); keep one'
 
 
-def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
+def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     for index, rig in enumerate((RIG, RIG, survey_rig(scale=0.4))):
         capture = simulate_capture(BOARD, rig, rng, CaptureOptions(depth_m=(3.0, 6.0)))
