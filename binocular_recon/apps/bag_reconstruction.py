@@ -154,7 +154,7 @@ def reconstruct_bag(
 
 
 def _prepare(config: ChainConfig, report: Callable[[str], None]) -> None:
-    """Compile the kernels before frames are timed, and say so if it took long."""
+    """Compile the kernels before frames are timed; report it if that took long."""
     begun = time.perf_counter()
     warm_up(config)
     seconds = time.perf_counter() - begun

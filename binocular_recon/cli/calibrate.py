@@ -32,7 +32,7 @@ _Result = TypeVar('_Result')
 
 
 class _Marks(NamedTuple):
-    """Input of the calibration."""
+    """What a calibration is computed from."""
 
     captures: Sequence[Capture]
     target: RodBoard | Target
@@ -169,7 +169,9 @@ def _read_points(args: argparse.Namespace) -> _Marks:
         print(f'left out: {reason}')
     if args.image_size is None:
         size = table.least_size
-        print('image size taken to be {}x{} px; give --image-size WxH if not'.format(*size))
+        print(
+            'image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size)
+        )
     else:
         size = _size(args.image_size)
     return _Marks(table.captures, table.target, size)

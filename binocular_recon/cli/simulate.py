@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rods.add_argument(
         '--evaluate',
         action='store_true',
-        help='write no images: detect the rods and compare with the truth (detection.json)',
+        help='detect the rods and compare them with the truth (detection.json); writes no images',
     )
     rods.add_argument(
         '--clean',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of what was detected, for the crew that puts up rods."""
+"""What was detected, drawn into the images, for the crew that puts up the rods."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DetectedMarks(Protocol):
 
     @property
     def messages(self) -> Sequence[str]:
-        """What is missing, in words."""
+        """What is missing, as text."""
 
 
 def draw_detections(
@@ -49,8 +49,7 @@ def draw_detections(
     Returns
     -------
     image : (H, 2 W, 3) uint8
-        A line along each rod with its number, a circle at each mark, and in words what is
-        missing.
+        A line along each rod with its number, a circle at each mark, and what is missing as text.
 
     """
     return np.hstack([_drawn(*side) for side in zip(images, found, strict=True)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The images of the calibration report, one function each."""
+"""The charts of the calibration report, one function each."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def known_heights(result: CalibrationResult) -> str:
 
 
 def heights_of_marks(result: CalibrationResult) -> str:
-    """Draw what each mark of a rod is off on average, against its known height (Fig. 10)."""
+    """Draw the mean error of each mark of a rod against its known height (Fig. 10)."""
     target = result.estimate.problem.target
     means, spreads = {}, {}
     for name in METHODS:
@@ -166,7 +166,7 @@ def coverage(result: CalibrationResult, side: str) -> str:
 
 
 def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:
-    """Draw the residuals of one image, magnified; returns the image and the factor."""
+    """Draw the residuals of one image, magnified; returns the chart and the factor."""
     chart = _image_chart(result)
     pixels = of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
     residuals = of_side(result.adjusted.residuals_px, side).reshape(-1, 2)
@@ -201,7 +201,7 @@ def depth_sigma(result: CalibrationResult) -> str:
 
 
 def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, float, float]:
-    """Draw the calibration's depth sigma over the left image; returns it with its range, m."""
+    """Draw the calibration's depth sigma over the left image; returns chart and range, m."""
     chart = _image_chart(result)
     width, height = result.calibration.image_size
     columns, rows = (
@@ -234,7 +234,7 @@ def of_side(marks_px: FloatArray, side: str) -> FloatArray:
 
 
 def _image_chart(result: CalibrationResult) -> Chart:
-    """Return an empty image with the image's proportions, rows downwards."""
+    """Return an empty chart with the proportions of the image, rows downwards."""
     width, height = result.calibration.image_size
     # the drawing area is 456 px wide: 18 and 16 px of it are margins
     chart = Chart((0, width - 1), (height - 1, 0), (474, round(16 + 456 * height / width)))

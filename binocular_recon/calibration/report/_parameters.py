@@ -40,10 +40,10 @@ def parameters(result: CalibrationResult) -> str:
         for e in result.evidence
     ]
     return section(
-        'Numbers',
+        'Estimated parameters',
         'Values with one standard deviation. Distortion models are compared by the Bayesian'
         f' information criterion (lower is better); a larger model than'
-        f' {calibration.lens_model.default_model} is taken only on strong evidence.',
+        f' {calibration.lens_model.default_model} is chosen only on strong evidence.',
         table(('', 'left', 'right'), rows),
         table(('pose', 'right from left'), pose),
         table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),

@@ -13,9 +13,9 @@ from binocular_recon.images import Mask
 def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
     """Return how far reconstructed marks are from their known places.
 
-    On rods: along the rod, after the rod's marks have been laid over their known heights. On a
-    target of points: away from the board's middle, after the board has been laid over the known
-    points. Only the shape is compared, so a calibration's own frame does not matter.
+    On rods: along the rod, after its marks have been aligned with their known heights. On a target
+    of points: away from the board's middle, after the board has been aligned with the known
+    points. Only the shape is compared, so the frame of the calibration does not matter.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from binocular_recon.number_text import plain, significant
 
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
-# Fields of a image whose coverage is counted.
+# Columns and rows of the grid over an image whose coverage is counted.
 _FIELDS = 8, 5
 
 
@@ -75,7 +75,10 @@ def _summary(result: CalibrationResult) -> str:
             f'{calibration.K_left[0, 0]:.0f} / {calibration.K_right[0, 0]:.0f} px',
             f'focal length left / right, ± {significant(sigma["fx_left_px"], 2)} px',
         ),
-        (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
+        (
+            f'{result.adjusted.error_px:.3f} px',
+            f'reprojection error; noise of a mark {noise:.3f} px',
+        ),
         (
             f'{len(result.names)}',
             f'boards used, {marks} marks in both images, {width}x{height} px',
@@ -92,7 +95,9 @@ def _notes(result: CalibrationResult) -> str:
         for board in result.rejected
     ]
     if count := int(result.estimate.outliers.sum()):
-        notes.append(f'{count} single marks were left out, beyond what their noise allows.')
+        notes.append(
+            f'{count} single marks were left out: they are off by more than noise allows.'
+        )
     if not notes:
         return '<p class="good">Every board and every mark was used.</p>'
     return f'<ul class="notes">{"".join(f"<li>{note}</li>" for note in notes)}</ul>'
@@ -106,7 +111,7 @@ def _depth(result: CalibrationResult) -> str:
         sigmas = (1e3 * result.depth_sigma_m(z, noise) for noise in (0.0, DISPARITY_SIGMA_PX))
         rows.append((f'{significant(z)} m', *(f'{significant(sigma)} mm' for sigma in sigmas)))
     return section(
-        'How well depth will be known',
+        'Expected accuracy of depth',
         f'One standard deviation over the middle half of the images, from the covariance of the'
         f' calibration and {DISPARITY_SIGMA_PX:g} px of disparity noise.',
         figure(
@@ -119,7 +124,7 @@ def _depth(result: CalibrationResult) -> str:
         ),
         figure(
             image,
-            f"The calibration's own share at {plain(depth)} m over the left image:"
+            f'Share of the calibration alone at {plain(depth)} m, over the left image:'
             f' {significant(1e3 * low)} mm (light) to {significant(1e3 * high)} mm (dark).',
         ),
         table(('distance', 'calibration alone', 'with disparity noise'), rows),
@@ -140,10 +145,10 @@ def _methods(result: CalibrationResult) -> str:
     rows.append(('average', *(f'{mean:.3f}' for mean in means), _change(means[2], means[0])))
     return section(
         'Three methods on the same marks: reprojection error',
-        'Planar: every rod taken as exactly placed (Zhang). Corrected: calibrated again after'
-        ' polar-line correction. Adjusted: both cameras and every rod estimated together; this is'
-        ' the calibration that was saved. Root mean square per image axis in the original'
-        ' images, so that a perfect calibration shows the noise of the marks.',
+        'Planar: every rod is taken as exactly placed (Zhang). Corrected: calibrated again after'
+        ' epipolar correction. Adjusted: both cameras and every rod are estimated together; this'
+        ' is the calibration that was saved. Errors are root mean squares per image axis in the'
+        ' original images; those of a perfect calibration are the noise of the marks.',
         figure(charts.board_errors(result), legend(*METHODS.items()), kind='wide'),
         table(
             ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
@@ -198,12 +203,12 @@ def _heights(result: CalibrationResult) -> str:
             )
         )
     what = (
-        'Marks reconstructed from both images, laid over the known heights of their rod'
+        'Marks reconstructed from both images, against the known heights on their rod'
         if target.has_rods
-        else 'Points reconstructed from both images, laid over the known target'
+        else 'Points reconstructed from both images, against the known target'
     )
     return section(
-        'Reconstructed marks against what is known',
+        'Reconstructed marks against their known places',
         f'{what}. The plan shows where the boards stood and what both cameras see.',
         figure(charts.plan(result), 'Boards from above.'),
         *known,
@@ -215,16 +220,14 @@ def _coverage(result: CalibrationResult) -> str:
     depth = result.marks_m[..., 2]
     figures = []
     for side in ('left', 'right'):
-        share = 100 * _covered(result, side)
-        figures.append(
-            figure(
-                charts.coverage(result, side),
-                f'{side.capitalize()} image: marks in {share:.0f} % of its fields; dark = far.',
-            )
+        share, fields = 100 * _covered(result, side), '{} x {}'.format(*_FIELDS)
+        caption = (
+            f'{side.capitalize()} image: marks in {share:.0f} % of {fields} fields; dark = far.'
         )
+        figures.append(figure(charts.coverage(result, side), caption))
     return section(
         'Coverage',
-        f'Distortion and depth are known where marks were seen: {significant(depth.min())}'
+        f'Distortion and depth are known only where marks were seen: {significant(depth.min())}'
         f' to {significant(depth.max())} m.',
         *figures,
         figure(charts.depth_coverage(result), 'Marks seen by both cameras at each distance.'),
@@ -240,8 +243,7 @@ def _residuals(result: CalibrationResult) -> str:
         )
     return section(
         'Residuals after adjustment',
-        'Arrows in all directions are noise; a pattern would mean distortion that the model does'
-        ' not have.',
+        'Arrows in all directions are noise; a pattern would be distortion that the model lacks.',
         *figures,
     )
 
@@ -252,8 +254,8 @@ def _next_boards(result: CalibrationResult) -> str:
     items = ''.join(f'<li>{escape(str(advice))}</li>' for advice in result.advice)
     return section(
         'What to capture next',
-        'Of all places in view, these boards would lower the depth sigma most, each given those'
-        ' before it.',
+        'Of all places in view, boards here would lower the depth sigma most; each one assumes'
+        ' that those before it have been captured.',
         f'<ol class="advice">{items}</ol>',
     )
 
@@ -275,7 +277,7 @@ def _images(images: Sequence[BoardImage]) -> str:
 
 
 def _covered(result: CalibrationResult, side: str) -> float:
-    """Return the share of the fields of a image that hold a mark."""
+    """Return the share of the fields of an image that hold a mark."""
     pixels = charts.of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     width, height = result.calibration.image_size

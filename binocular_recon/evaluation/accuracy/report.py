@@ -151,7 +151,7 @@ def _key_to_errors() -> str:
         ('no ground truth', f'rgb{UNKNOWN_COLOUR}'),
     ]
     return page_parts.section(
-        'Maps of the errors',
+        'Error maps',
         'Absolute error of each pixel.',
         f'<div class="wide">{page_parts.legend(*parts)}</div>',
     )

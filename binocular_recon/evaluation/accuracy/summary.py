@@ -18,7 +18,7 @@ from binocular_recon.number_text import fixed
 REGIONS = ('everywhere', 'visible', 'occluded')
 # Times are given relative to the first of these that took part.
 TIME_REFERENCES = ('StereoSGBM 5 (3WAY) + WLS', 'StereoSGBM 5 (3WAY)')
-# Fewer pixels in a band of depth say nothing about a scene.
+# Bands of depth with fewer pixels are left out.
 MIN_BAND_PIXELS = 100
 
 
@@ -220,7 +220,7 @@ def _pooled_rms(values: Sequence[float], weights: object) -> float:
 
 
 def exposure_table(changes: Sequence[ExposureChange]) -> str:
-    """Return how bad-2.0 changes when the right image is made darker; empty if not tried."""
+    """Return how bad-2.0 changes when the right image is darker; empty if not measured."""
     names = list(dict.fromkeys(change.method for change in changes))
     rows = []
     for name in names:
@@ -241,7 +241,7 @@ def exposure_table(changes: Sequence[ExposureChange]) -> str:
 
 
 def crop_table(changes: Sequence[CropChange]) -> str:
-    """Return the largest change of disparity by cutting the images; empty if not tried."""
+    """Return the largest change of disparity by cropping; empty if not measured."""
     depths = sorted({change.depth_px for change in changes})
     rows = []
     for name in dict.fromkeys(change.method for change in changes):

@@ -17,7 +17,7 @@ from binocular_recon.simulation.capture import SimulatedCapture
 
 @dataclass(frozen=True, eq=False)
 class BoardScore:
-    """What became of one capture.
+    """How well the rods of one capture were detected.
 
     Attributes
     ----------

@@ -157,7 +157,7 @@ def check_rows(
 def self_check(
     sets: int, draws: int, report: Callable[[str], None]
 ) -> dict[str, list[dict[str, object]]]:
-    """Run both checks, tell each row in words, and return all rows."""
+    """Run both checks, report each row, and return all rows."""
     accuracy, rows = [], []
     report(
         'depth at 15 m, mean |error|: OpenCV in two steps, planar, adjusted, bound; error / bound'

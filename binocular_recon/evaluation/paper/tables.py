@@ -43,24 +43,25 @@ def report(runs: Sequence[PaperRun]) -> str:
     )
     shown = nearest_to_paper(runs)
     rendered = len({run.seed for run in runs if run.rendered})
-    words_1 = (
+    text_1 = (
         'Table 1: rows of the marks of one rod on a board that was not used to calibrate'
-        f' ({_placement(shown.placement_m)}; site {shown.seed}, whose rows differ most nearly as'
-        " the paper's). Mean difference of the marks of all sites' boards that were not used, px:"
+        f' ({_placement(shown.placement_m)}; site {shown.seed}, whose row differences are closest'
+        " to the paper's). Mean difference of the marks on all sites' boards that were not used,"
+        ' px:'
         f' {rows}.'
     )
-    words_2 = (
+    text_2 = (
         'Table 2: reprojection error in the original images,'
         f' {len(first[0].boards_px)} boards of one site, {_marks(first[0])}.{_other_sites(runs)}'
     )
-    words_3 = (
+    text_3 = (
         f'Table 3: sizes at 10-20 m, {len({run.seed for run in runs})} sites,'
         f' {len(runs[0].errors_mm[BICYCLE])} picks of each end point with {PICK_NOISE_PX:g} px of'
-        f' noise per axis; rods of {rendered} sites detected in images. Picking alone: the same'
-        ' picks with perfect calibration and depth.'
+        f' noise per axis; rods of {rendered} site{"" if rendered == 1 else "s"} detected in'
+        ' images. Picking alone: the same picks with perfect calibration and depth.'
     )
     tables = (table_1(shown), table_2(first), table_3(runs))
-    pairs = zip((words_1, words_2, words_3), tables, strict=True)
+    pairs = zip((text_1, text_2, text_3), tables, strict=True)
     return '\n\n'.join(part for pair in pairs for part in pair)
 
 
@@ -150,7 +151,7 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
 
 
 def nearest_to_paper(runs: Sequence[PaperRun]) -> PaperRun:
-    """Return the run, rods placed best, whose rows as taken differ most nearly as Table 1."""
+    """Return the run, rods placed best, whose uncorrected rows differ most like Table 1's."""
     paper_px = float(np.mean(np.abs(np.diff(PAPER_ROWS)[:, 0])))
     best_placed = _of(runs, min(run.placement_m for run in runs))
     return min(best_placed, key=lambda run: abs(run.rows_px['uncorrected'] - paper_px))

@@ -87,7 +87,7 @@ def test_rods_of_two_marks_have_a_report() -> None:
     assert 1e-4 < np.sqrt(np.nanmean(errors**2)) < 0.005
     np.testing.assert_allclose(errors[..., 0], errors[..., 1])
     page = render_report(result)
-    assert 'Reconstructed marks against what is known' in page
+    assert 'Reconstructed marks against their known places' in page
 
 
 def test_report_shows_images() -> None:

@@ -111,7 +111,7 @@ def _check_images(report: str, content: dict[str, Any]) -> None:
 
 def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert calibrate('--points', CHESSBOARD, '--output', tmp_path) == 0
-    assert 'taken to be 640x480' in capsys.readouterr().out
+    assert 'assumed to be 640x480' in capsys.readouterr().out
     content = json.loads((tmp_path / 'calibration.json').read_text())
     assert content['rms_px'] == pytest.approx(0.215, rel=0.02)
     assert content['baseline_m'] == pytest.approx(0.0832, rel=0.02)
@@ -173,7 +173,7 @@ def test_numbers_out_of_range(
     with pytest.raises(SystemExit, match='2'):
         main([*args, '--output', str(tmp_path)])
     error = capsys.readouterr().err
-    assert 'must not be negative' in error or 'greater than 0' in error
+    assert 'must not be negative' in error or 'above 0' in error
 
 
 def test_problems_with_the_input(
