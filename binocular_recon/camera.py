@@ -153,9 +153,13 @@ class RigCovariance:
             )
         given = len(self.coefficients)
         for camera in (self.left, self.right):
-            kin = (lens for lens in LENSES.values() if isinstance(lens, type(camera.lens)))
-            possible = {count for lens in kin for count in lens.counts if 0 < count <= 8}
-            if given not in possible or camera.D[given:].any():
+            kin = [lens for lens in LENSES.values() if lens.POLYNOMIAL == camera.lens.POLYNOMIAL]
+            known = [
+                lens.COEFFICIENTS[:given]
+                for lens in kin
+                if given in (len(lens.COEFFICIENTS), *lens.counts) and given
+            ]
+            if self.coefficients not in known or camera.D[given:].any():
                 raise CalibrationError(
                     f'the covariance is that of {given} distortion coefficients, the camera has'
                     f' {camera.D.size} of {camera.distortion_model}; calibrate again'

@@ -22,7 +22,7 @@ from binocular_recon.evaluation.calibration.self_check import (
     true_calibration,
 )
 from binocular_recon.io.files import write_json
-from binocular_recon.simulation.rig import fisheye_rig, survey_rig
+from binocular_recon.simulation.rig import RawRig, fisheye_rig, survey_rig
 from binocular_recon.simulation.rods import (
     PlacedBoard,
     paper_board,
@@ -87,12 +87,13 @@ def fisheye_captures(
     seed: int = 0,
     noise_px: float = 0.2,
     board: RodBoard | None = None,
+    rig: RawRig | None = None,
 ) -> list[Capture]:
-    """Simulate the marks of boards all over the view of the fisheye rig, 60 degrees off its axis.
+    """Simulate the marks of boards all over the view of a fisheye rig, 60 degrees off its axis.
 
     Marks outside of an image are NaN.
     """
-    rig, rng = fisheye_rig(), np.random.default_rng(seed)
+    rig, rng = rig or fisheye_rig(), np.random.default_rng(seed)
     captures = []
     for index in range(boards):
         angle = np.radians(np.linspace(-50, 50, boards)[(5 * index) % boards])

@@ -154,7 +154,7 @@ def reconstruct_bag(
 
 
 def _prepare(config: ChainConfig, report: Callable[[str], None]) -> None:
-    """Compile the kernels before frames are timed, and say so if it took long."""
+    """Compile the kernels before frames are timed; report it if that took long."""
     begun = time.perf_counter()
     warm_up(config)
     seconds = time.perf_counter() - begun
@@ -202,7 +202,7 @@ def _reconstruct(
             else:
                 seconds = time.perf_counter() - start
                 if not results.frames:
-                    report(_searched(reconstruction.range.search, chain.rig))
+                    report(_opening(reconstruction.range.search, chain.rig))
                     if not reconstruction.cloud.calibrated:
                         report(_WITHOUT_COVARIANCE)
                 warning = reconstruction.range.warning
@@ -217,12 +217,10 @@ def _reconstruct(
                 return
 
 
-def _searched(search: SearchRange, rig: StereoRig) -> str:
-    near, far = search.depths_m(rig)
-    reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
+def _opening(search: SearchRange, rig: StereoRig) -> str:
     return (
-        f'baseline {rig.baseline_m:.3f} m, focal length {rig.focal_px:.0f} px: disparities'
-        f' {search.min_disparity} to {search.last} px are depths of {near:.2f} m to {reach}'
+        f'baseline {rig.baseline_m:.3f} m, focal length {rig.focal_px:.0f} px; search range:'
+        f' {search.describe(rig)}'
     )
 
 

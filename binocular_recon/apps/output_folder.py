@@ -47,7 +47,7 @@ class ResultFolder:
     left_out : list of dict
         Stamp and reason of each pair that could not be reconstructed.
     refused : list of str
-        Why frames that are written must not be relied on.
+        Why written frames are not reliable.
 
     Raises
     ------
@@ -115,7 +115,7 @@ class ResultFolder:
                 spec.write_frame(parts, index, result)
 
     def refuse(self, reason: str) -> None:
-        """Note that a frame that is written must not be relied on."""
+        """Note why a written frame is not reliable."""
         self.refused.append(reason)
 
     def leave_out(self, stamp_ns: int, reason: Exception) -> None:

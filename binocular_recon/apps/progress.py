@@ -9,7 +9,7 @@ import time
 
 # Steps may take microseconds; drawing the line takes longer.
 _REDRAW_PERIOD_S = 0.1
-# Without a terminal: often enough to show that the work goes on.
+# Without a terminal: often enough to show progress.
 PLAIN_PERIOD_S = 10.0
 
 
@@ -42,7 +42,7 @@ class ProgressBar:
             print(end='\r\033[K', file=sys.stderr, flush=True)
 
     def show(self, done: int, note: str = '') -> None:
-        """Draw the bar with ``done`` finished steps, and ``note`` behind it."""
+        """Draw the bar with ``done`` finished steps, and ``note`` after it."""
         now_s = time.monotonic()
         if done and now_s < self._next_s:
             return

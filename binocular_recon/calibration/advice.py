@@ -17,6 +17,7 @@ from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import State, marks_in_left, predict
 from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives, field_of_view
 from binocular_recon.camera import FloatArray
+from binocular_recon.number_text import significant
 from binocular_recon.rotations import rotation
 
 # Boards tried out: distances, columns and rows of their middle in the image, turns.
@@ -71,10 +72,13 @@ class Advice:
             if abs(self.turn_deg) > 5
             else 'facing the cameras'
         )
+        before, after = (
+            significant(1e3 * sigma_m) for sigma_m in (self.sigma_before_m, self.sigma_after_m)
+        )
         return (
-            f'a board at {self.distance_m:.3g} m, {place} of the image, {turned}: depth sigma at'
-            f' {self.depth_m:.3g} m falls from {1e3 * self.sigma_before_m:.3g} to'
-            f' {1e3 * self.sigma_after_m:.3g} mm (-{100 * self.gain:.0f} %)'
+            f'a board at {significant(self.distance_m)} m, {place} of the image, {turned}:'
+            f' depth sigma at {significant(self.depth_m)} m falls from {before} to {after} mm'
+            f' (-{100 * self.gain:.0f} %)'
         )
 
 

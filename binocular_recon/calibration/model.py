@@ -14,25 +14,31 @@ from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.registry import LENSES
 from binocular_recon.rotations import rotation
 
-# Distortion coefficients that are calibrated of each lens, in the order of D. A plumb_bob lens
-# becomes rational_polynomial where the marks call for k4 to k6.
-COEFFICIENTS = {
-    'plumb_bob': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
-    'equidistant': ('k1', 'k2', 'k3', 'k4'),
-}
 DEFAULT_LENS = 'plumb_bob'
+
+
+def calibrated_lenses() -> tuple[str, ...]:
+    """Return the names of the lenses that a calibration can choose."""
+    return tuple(name for name, lens in LENSES.items() if lens.COEFFICIENTS)
+
+
+def lens_text() -> str:
+    """Return the description of the option that chooses one of them."""
+    wide = [name for name in calibrated_lenses() if LENSES[name].WIDE_ANGLE]
+    return f'lens of both cameras; {" and ".join(wide)} for a fisheye'
 
 
 def parameters_of(lens: str) -> tuple[str, ...]:
     """Return the parameters of a lens in the order of `StereoCalibration.moved`."""
-    return parameter_names(COEFFICIENTS[lens])
+    return parameter_names(LENSES[lens].COEFFICIENTS)
 
 
 def check_lens(lens: str) -> None:
     """Raise a CalibrationError unless cameras with this lens can be calibrated."""
-    if lens in COEFFICIENTS:
+    lenses = calibrated_lenses()
+    if lens in lenses:
         return
-    known = ' or '.join(COEFFICIENTS)
+    known = ' or '.join(lenses)
     if lens in LENSES:
         raise CalibrationError(
             f'a {lens} lens cannot be chosen for a calibration; choose {known}'
@@ -52,13 +58,13 @@ class StereoCalibration:
     K_left, K_right : (3, 3) float64
         Intrinsics, px.
     D_left, D_right : (n,) float64
-        Distortion, all of the lens' ``COEFFICIENTS``: 8 of plumb_bob, 4 of equidistant.
+        Distortion, all of the lens' ``COEFFICIENTS``.
     R : (3, 3) float64
         Rotation from the left to the right camera.
     T : (3,) float64
         Translation, m.
     lens : str
-        Lens of both cameras, a key of ``COEFFICIENTS``.
+        Lens of both cameras, one of `calibrated_lenses`.
 
     """
 
@@ -73,7 +79,7 @@ class StereoCalibration:
 
     def __post_init__(self) -> None:
         """Bring the arrays to shape."""
-        count = len(COEFFICIENTS[self.lens])
+        count = len(self.lens_model.COEFFICIENTS)
         for name, shape in (('K', (3, 3)), ('D', (-1,))):
             for side in ('left', 'right'):
                 values = np.asarray(getattr(self, f'{name}_{side}'), np.float64).reshape(shape)
@@ -121,7 +127,7 @@ class StereoCalibration:
 
     def moved(self, step: FloatArray) -> StereoCalibration:
         """Return the calibration after a step in all ``parameters``, (p,)."""
-        count = 4 + len(COEFFICIENTS[self.lens])
+        count = 4 + len(self.lens_model.COEFFICIENTS)
         left, right, turn, shift = np.split(step, [count, 2 * count, 2 * count + 3])
         return replace(
             self,
@@ -154,10 +160,7 @@ class StereoCalibration:
 
     def stated_lens(self, side: str) -> tuple[str, FloatArray]:
         """Return the ``distortion_model`` of a camera and its D, as camera files state them."""
-        D = self.side(side)[1]
-        if self.lens != 'plumb_bob':
-            return self.lens, D
-        return ('rational_polynomial', D) if D[5:].any() else ('plumb_bob', D[:5])
+        return self.lens_model.stated(self.side(side)[1])
 
     def triangulate(self, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
         """Return the points seen at (..., 2) px of both raw images, (..., 3) m, left frame.

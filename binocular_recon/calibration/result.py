@@ -28,7 +28,8 @@ from binocular_recon.camera import FloatArray, StereoRig
 DEPTHS_M = (10.0, 15.0, 20.0)
 # Noise of the disparity that goes into it, px: what matching reaches on good texture.
 DISPARITY_SIGMA_PX = 0.1
-_UNITS = {'f': 'px', 'c': 'px', 'k': '', 'p': '', 't': 'rad', 'T': 'm'}
+# Units of parameters; distortion coefficients have none.
+_UNITS = {'fx': 'px', 'fy': 'px', 'cx': 'px', 'cy': 'px', 'turn': 'rad', 'T': 'm'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ class CalibrationResult:
     evidence : tuple of Evidence
         Distortion models compared.
     model : str
-        The one that was taken, a key of `distortion.MODELS`.
+        The one that was taken, a key of `Lens.models`.
     rejected : tuple of Rejected
         Boards left out and why.
     warnings : tuple of str
@@ -143,7 +144,7 @@ class CalibrationResult:
         names = np.array(self.calibration.parameters)[free].tolist()
         found = {'baseline_m': baseline_sigma_m(self.calibration, free, self.estimate.covariance)}
         for name, sigma in zip(names, sigmas, strict=True):
-            unit = _UNITS[name[0]]
+            unit = _UNITS.get(name.partition('_')[0])
             found[f'{name}_{unit}' if unit else name] = float(sigma)
         return found
 

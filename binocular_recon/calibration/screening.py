@@ -18,6 +18,7 @@ from binocular_recon.calibration.target.rods import row_of
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.registry import LENSES
 
 # Two boards determine a pinhole camera just so; a third one checks them.
 MIN_BOARDS = 3
@@ -61,7 +62,7 @@ def usable_boards(
     rejected : sequence of Rejected
         Boards that were lost before, such as unreadable files.
     lens : str
-        Lens of both cameras, a key of `model.COEFFICIENTS`.
+        Lens of both cameras, one of `model.calibrated_lenses`.
 
     Returns
     -------
@@ -150,9 +151,9 @@ def check_spread(
     """
     points = target.nominal_m.reshape(-1, 3)
     pixels = np.stack([capture.left_px.reshape(-1, 2) for capture in captures])
-    if lens == 'equidistant':
-        K = fisheye_guess(points, pixels, image_size)[0]
-        pixels = pinhole_pixels(pixels, K)
+    if LENSES[lens].WIDE_ANGLE:
+        K = fisheye_guess(points, pixels, image_size, LENSES[lens])[0]
+        pixels = pinhole_pixels(pixels, K, LENSES[lens])
     else:
         K = first_guess(points, pixels, image_size)
     normals, centres = [], []
@@ -251,9 +252,9 @@ def _board_error_px(
     points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: str
 ) -> float | None:
     """Return by how much marks (N, 2) px miss the board that fits best, None if none fits."""
-    if lens == 'equidistant':
+    if LENSES[lens].WIDE_ANGLE:
         try:
-            return float(fisheye_guess(points, pixels[None], image_size)[1][0])
+            return float(fisheye_guess(points, pixels[None], image_size, LENSES[lens])[1][0])
         except CalibrationError:
             return None
     camera = fit_camera(points, pixels, image_size)

@@ -10,11 +10,9 @@ import numpy as np
 
 from binocular_recon.calibration.adjustment.bundle_adjustment import Problem, free_parameters
 from binocular_recon.calibration.adjustment.distortion import (
-    MODELS,
     Evidence,
     choose_model,
     compare_models,
-    default_model,
 )
 from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
 from binocular_recon.calibration.adjustment.linearisation import State, predict
@@ -42,6 +40,7 @@ from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
 from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.registry import LENSES
 
 # Noise of a mark before anything is known, px.
 FIRST_SIGMA_PX = 0.3
@@ -69,8 +68,8 @@ def calibrate(
     image_size : (int, int)
         Width and height of every image, px.
     lens : str
-        Lens of both cameras: ``plumb_bob`` (which takes rational terms where the marks call for
-        them) or ``equidistant`` (fisheye).
+        Lens of both cameras, one of `model.calibrated_lenses`: ``plumb_bob`` (which takes rational
+        terms where the marks call for them), ``equidistant`` (fisheye), or a lens of your own.
     rejected : sequence of Rejected
         Boards that were lost before, such as unreadable files; they are passed on.
     progress : callable
@@ -100,7 +99,7 @@ def calibrate(
     planar = calibrate_planar(observed, target, image_size, lens)
 
     report('joint adjustment of cameras and rods')
-    free = free_parameters(MODELS[lens][default_model(lens)], lens)
+    free = free_parameters(LENSES[lens].DEFAULT_COEFFICIENTS, lens)
     problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
     adjusted, evidence, model = _adjust(problem, planar)
     lost += [Rejected(usable[i].name, reason) for i, reason in adjusted.bad_boards.items()]
@@ -187,18 +186,18 @@ def _silent(_step: str) -> None:
 
 def _adjust(problem: Problem, start: State) -> tuple[Estimate, tuple[Evidence, ...], str]:
     """Adjust with the default distortion model, and again if the marks call for another."""
-    lens = start.calibration.lens
+    lens = start.calibration.lens_model
     found = estimate(problem, start)
     check_result(found)
     evidence = compare_models(found.problem, found.state)
-    model = choose_model(evidence, lens)
-    if model != default_model(lens):
+    model = choose_model(evidence, lens.name)
+    if model != lens.default_model:
         boards = np.array(found.boards)
         again = estimate(
             replace(
                 found.problem,
                 observed_px=problem.observed_px[boards],
-                free=free_parameters(MODELS[lens][model], lens),
+                free=free_parameters(lens.models[model], lens.name),
             ),
             found.state,
         )

@@ -12,6 +12,7 @@ from binocular_recon.calibration.rectification.homography import ImageGrid
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.errors import CalibrationError
+from binocular_recon.number_text import significant
 
 # Marks of a good detector scatter by 0.1 to 0.3 px.
 NOISE_WARNING_PX, NOISE_LIMIT_PX = 0.6, 3.0
@@ -125,8 +126,8 @@ def _check_placement(found: Estimate) -> None:
                 f'rods.yaml contradicts the images: rod {rod + 1} stands'
                 f' {1e3 * typical[rod]:.0f} mm off its {name} in most boards (median'
                 f' {1e3 * common[rod]:+.0f} mm, stated sigma'
-                f' {1e3 * target.sigmas[axis]:.3g} mm); measure the rods and correct their'
-                ' positions'
+                f' {significant(1e3 * target.sigmas[axis])} mm); measure the rods and correct'
+                ' their positions'
             )
 
 
@@ -178,7 +179,7 @@ def _check_depth(found: Estimate) -> None:
     typical = float(np.sqrt(np.mean(sigma**2)))
     if not typical <= DEPTH_LIMIT * depth:
         raise CalibrationError(
-            f'the boards do not determine depth: one standard deviation at {depth:.3g} m is'
-            f' {typical:.2g} m (limit {DEPTH_LIMIT:.0%}); capture more boards, turned by 20 to 50'
-            ' degrees to either side and at more distances'
+            f'the boards do not determine depth: one standard deviation at {significant(depth)} m'
+            f' is {significant(typical, 2)} m (limit {DEPTH_LIMIT:.0%}); capture more boards,'
+            ' turned by 20 to 50 degrees to either side and at more distances'
         )

@@ -18,9 +18,10 @@ from binocular_recon.evaluation.speed.benchmark import (
     step_count,
 )
 from binocular_recon.evaluation.speed.stages import Size
-from binocular_recon.evaluation.tables import figure, markdown_table, to_plain
+from binocular_recon.evaluation.tables import markdown_table, to_plain
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import machine_facts
+from binocular_recon.number_text import fixed
 
 NO_XIMGPROC = ximgproc_note('its WLS filter and the chain with it are missing', 'benchmark')
 _MIN_SIDE_PX = 64
@@ -70,8 +71,8 @@ def _stage_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
         for name in dict.fromkeys(timing.name for timing in timings):
             row = [name]
             for timing in (t for t in timings if t.name == name):
-                row += [figure(1000 * timing.seconds), figure(timing.relative, 2)]
-                row += [figure(1 / timing.seconds)] if stage == 'chain' else []
+                row += [fixed(1000 * timing.seconds), fixed(timing.relative, 2)]
+                row += [fixed(1 / timing.seconds)] if stage == 'chain' else []
             rows.append(row)
         tables.append(markdown_table(header, rows))
     return tables
@@ -82,13 +83,13 @@ def _other_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
     return [
         markdown_table(
             ['match, ns per pixel and disparity', *map(str, sizes)],
-            [[name, *(figure(value, 3) for value in values)] for name, values in grown.items()],
+            [[name, *(fixed(value, 3) for value in values)] for name, values in grown.items()],
         ),
         _direct_table(results),
         markdown_table(
             [f'peak memory of a match at {sizes[-1]}', 'MB', 'bytes per pixel and disparity'],
             [
-                [one['preset'], figure(one['peak_mb'], 0), figure(one['bytes_per_score'], 2)]
+                [one['preset'], fixed(one['peak_mb'], 0), fixed(one['bytes_per_score'], 2)]
                 for one in results.memory
             ],
         ),
@@ -107,9 +108,9 @@ def _direct_table(results: Results) -> str:
     rows = [
         [
             one['preset'],
-            *(figure(1000 * one[key]) for key in ('direct_s', 'filter_s')),
+            *(fixed(1000 * one[key]) for key in ('direct_s', 'filter_s')),
             str(one['iterations']),
-            *(figure(one[key], 4) for key in ('largest_error_px', 'error_estimate_px')),
+            *(fixed(one[key], 4) for key in ('largest_error_px', 'error_estimate_px')),
         ]
         for one in results.direct
     ]
@@ -121,7 +122,7 @@ def _first_call_table(results: Results, size: Size) -> str:
     rows = [
         [
             f'{one["preset"]}, {state} cache',
-            *(figure(one[state][key], 2) for key in ('import_s', 'first_s', 'second_s')),
+            *(fixed(one[state][key], 2) for key in ('import_s', 'first_s', 'second_s')),
         ]
         for one in results.first_call
         for state in ('cold', 'warm')

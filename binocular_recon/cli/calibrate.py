@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.calibration.model import COEFFICIENTS, DEFAULT_LENS
+from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.session.calibration_files import save_calibration
@@ -26,12 +26,13 @@ from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
+from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
 
 
 class _Marks(NamedTuple):
-    """Input of the calibration."""
+    """What a calibration is computed from."""
 
     captures: Sequence[Capture]
     target: RodBoard | Target
@@ -57,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--image-size', metavar='WxH', help='size of the images that --points were found in'
     )
     parser.add_argument(
-        '--lens', default=DEFAULT_LENS, choices=tuple(COEFFICIENTS),
-        help='lens of both cameras; equidistant is a fisheye lens (%(default)s)',
+        '--lens', default=DEFAULT_LENS, choices=calibrated_lenses(),
+        help=f'{lens_text()} (%(default)s)',
     )  # fmt: skip
     parser.add_argument(
         '--self-check', action='store_true',
@@ -121,14 +122,15 @@ def summary(result: CalibrationResult) -> str:
     lines += [f'note: {warning}' for warning in result.warnings]
     rows = content['row_difference_px']
     sigma, calibration = result.sigma, result.calibration
-    depths = (f'{1e3 * result.depth_sigma_m(z):.3g} mm at {z:g} m' for z in DEPTHS_M)
+    depths = (f'{significant(1e3 * result.depth_sigma_m(z))} mm at {z:g} m' for z in DEPTHS_M)
     means = ', '.join(f'{name} {values["mean"]:.3f}' for name, values in rows.items())
     lines += [
         f'row difference, mean: {means} px',
         (
-            f'baseline {1e3 * calibration.baseline_m:.2f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
-            f' focal length {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
-            f' {sigma["fx_left_px"]:.2g} px, stereo RMS {result.rms_px:.4f} px'
+            f'baseline {1e3 * calibration.baseline_m:.2f} +-'
+            f' {significant(1e3 * sigma["baseline_m"], 2)} mm, focal length'
+            f' {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
+            f' {significant(sigma["fx_left_px"], 2)} px, stereo RMS {result.rms_px:.4f} px'
         ),
         f'depth sigma: {", ".join(depths)}',
     ]
@@ -167,7 +169,9 @@ def _read_points(args: argparse.Namespace) -> _Marks:
         print(f'left out: {reason}')
     if args.image_size is None:
         size = table.least_size
-        print('image size taken to be {}x{} px; give --image-size WxH if not'.format(*size))
+        print(
+            'image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size)
+        )
     else:
         size = _size(args.image_size)
     return _Marks(table.captures, table.target, size)

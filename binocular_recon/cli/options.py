@@ -117,7 +117,7 @@ def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
 
 
 def note(text: str) -> None:
-    """Tell the user something that is not the result."""
+    """Print something that is not the result, on stderr."""
     print(text, file=sys.stderr)
 
 
@@ -141,7 +141,7 @@ def positive(kind: type[int | float]) -> Callable[[str], float]:
     def convert(text: str) -> float:
         value = kind(text)
         if not 0 < value < math.inf:
-            raise argparse.ArgumentTypeError(f'must be finite and greater than 0, got {text}')
+            raise argparse.ArgumentTypeError(f'must be finite and above 0, got {text}')
         return value
 
     convert.__name__ = (

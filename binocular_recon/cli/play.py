@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='multiple of the recorded speed (%(default)g)',
     )
     parser.add_argument(
-        '--loop', action='store_true', help='start again at the end; stamps jump back'
+        '--loop', action='store_true', help='start again at the end; stamps then jump back'
     )
     parser.add_argument(
         '--clock', action='store_true', help='publish the recorded time on /clock at 100 Hz'
@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive(float),
         default=0.0,
         metavar='SECONDS',
-        help='minimum time before the first message; by default playing starts when all present'
-        ' subscribers have matched, or after 2 s',
+        help='minimum time before the first message; by default playback starts when all present'
+        ' subscribers are connected, or after 2 s',
     )
     parser.add_argument(
         '--ros-args',

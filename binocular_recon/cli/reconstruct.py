@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--max-frames', type=positive(int), metavar='N', help='stop after N frames'
     )
     parser.add_argument(
+        '--drawings',
         '--pictures',
         action='store_true',
         help='also draw each cloud beside the left image: NNNNNN_cloud.png',
@@ -41,10 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--near',
         type=positive(float),
         metavar='M',
-        help='search from this depth on, metres, instead of a range in pixels',
+        help='nearest depth to search, metres; instead of a range in pixels',
     )
     parser.add_argument(
-        '--far', type=positive(float), metavar='M', help='with --near: up to this depth (infinity)'
+        '--far',
+        type=positive(float),
+        metavar='M',
+        help='with --near: farthest depth to search (infinity)',
     )
     parser.add_argument(
         '--least-matched',
@@ -126,7 +130,7 @@ def run(args: argparse.Namespace) -> None:
         far_m=math.inf if args.far is None else args.far,
     )
     _check_input_options(args)
-    formats = ['drawing'] if args.pictures else []
+    formats = ['drawing'] if args.drawings else []
     config = chain_config(args)
     print(
         reconstruct_bag(
@@ -144,7 +148,7 @@ def run(args: argparse.Namespace) -> None:
 def _check_input_options(args: argparse.Namespace) -> None:
     """Raise a ConfigError if an option would have no effect together with the others."""
     if args.far is not None and args.near is None:
-        raise ConfigError('--far can only be used with --near; give this too')
+        raise ConfigError('--far can only be used with --near; give both')
     if args.near is not None and ('disparity_range' in args or 'min_disparity' in args):
         raise ConfigError(
             '--near and --far replace --min-disparity and --disparity-range; omit one pair'
@@ -156,7 +160,7 @@ def _check_input_options(args: argparse.Namespace) -> None:
         ):
             if value is not None:
                 raise ConfigError(
-                    f'{flag} can only be used with --left-image and --right-image; give these too'
+                    f'{flag} can only be used with --left-image and --right-image; give those too'
                 )
     elif args.namespace is not None:
         raise ConfigError(

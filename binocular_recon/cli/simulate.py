@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rods.add_argument(
         '--evaluate',
         action='store_true',
-        help='write no images: detect the rods and compare with the truth (detection.json)',
+        help='detect the rods and compare them with the truth (detection.json); writes no images',
     )
     rods.add_argument(
         '--clean',
@@ -156,7 +156,7 @@ def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Pat
     """Detect the rods of every capture; print and write the figures."""
     figures = summarise_scores([score_capture(board, capture) for capture in captures])
     write_json(output / 'detection.json', figures)
-    rms, seconds = figures['rms_px'], figures['seconds_per_picture']
+    rms, seconds = figures['rms_px'], figures['seconds_per_image']
     print(
         f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark visible in'
         f' both images; {figures["wrong_identities"]} wrong identities; error'

@@ -2,7 +2,8 @@
 """What people look at: heat maps, drawn clouds and detections, charts, the HTML page style.
 
 `colormap` colours disparities, `clouds` draws a point cloud from an oblique view, `detections`
-marks what was found in an image, `svg` draws charts and `page` is the style of every report.
+marks what was found in an image, `labels` writes into images, `svg` draws charts and `page` is
+the style of every report.
 """
 
 from typing import TYPE_CHECKING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw a point cloud from an oblique view, for people without a viewer at hand."""
+"""Draw a point cloud from an oblique view, for those without a viewer at hand."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from binocular_recon.images import ByteImage, FloatImage
 # Points are drawn in a larger image that is then averaged down.
 _OVERSAMPLING = 2
 _BACKGROUND = (40, 34, 30)
-# A pixel whose neighbours' depths differ by more than this share lies on a border between
-# surfaces, where the disparity is neither's.
+# A pixel whose neighbours' depths differ by more than this share lies between two surfaces; its
+# disparity is that of neither.
 _BORDER_DEPTH_SHARE = 0.03
-# Share of the points, %, that may lie outside of the image at each side.
+# Share of the points, %, that may lie outside the image on each side.
 _CUT_PERCENT = 1.0
 
 
@@ -44,7 +44,7 @@ class CloudView:
 def draw_cloud(
     points_xyz: FloatImage, bgr: ByteImage, size: tuple[int, int], view: CloudView | None = None
 ) -> ByteImage:
-    """Draw the points of a cloud as squares that hide each other, the whole cloud in sight.
+    """Draw the points of a cloud as squares that hide each other, with the whole cloud in view.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 # Share of the values, %, beyond each end of the colours when no limits are given.
 _CLIPPED_PERCENT = 1.0
-# The ends of the colour scale beyond these are too dark to be told from none.
+# The ends of the colour scale beyond these are too dark to tell from black, which means none.
 _FIRST_LEVEL, _LAST_LEVEL = 20, 240
 # Values written beside a colour bar.
 _TICKS = 5
@@ -27,8 +27,8 @@ def heat_map(
     disparity_px : (H, W) float32
         Disparity; values that are not finite mean none.
     limits_px : (float, float), optional
-        Disparities at the blue and the red end; values beyond take the end's colour. Without them
-        the map's own range is used, less one percent at each end.
+        Disparities at the blue and the red end; values beyond take the end's colour. By
+        default the range of the map, without one per cent of the values at each end.
 
     Returns
     -------

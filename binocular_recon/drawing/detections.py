@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of what was detected, for the crew that puts up rods."""
+"""What was detected, drawn into the images, for the crew that puts up the rods."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.drawing.labels import write_label
 from binocular_recon.images import ByteImage
 
-_FOUND, _TEXT, _OUTLINE = (80, 220, 60), (255, 255, 255), (0, 0, 0)
+_FOUND = (80, 220, 60)
 # Size of a mark and of letters, as a share of the image's height.
 _MARK_SHARE, _TEXT_SHARE = 1 / 120, 1 / 30
 
@@ -30,7 +31,7 @@ class DetectedMarks(Protocol):
 
     @property
     def messages(self) -> Sequence[str]:
-        """What is missing, in words."""
+        """What is missing, as text."""
 
 
 def draw_detections(
@@ -48,8 +49,7 @@ def draw_detections(
     Returns
     -------
     image : (H, 2 W, 3) uint8
-        A line along each rod with its number, a circle at each mark, and in words what is
-        missing.
+        A line along each rod with its number, a circle at each mark, and what is missing as text.
 
     """
     return np.hstack([_drawn(*side) for side in zip(images, found, strict=True)])
@@ -69,17 +69,9 @@ def _drawn(source: ByteImage, detection: DetectedMarks) -> ByteImage:
         for point in points:
             cv2.circle(image, point, radius, _FOUND, 1, cv2.LINE_AA)
         top = min(points, key=lambda point: point[1])
-        _write(image, str(number), (top[0] - radius, top[1] - 2 * radius), scale)
+        write_label(image, str(number), (top[0] - radius, top[1] - 2 * radius), scale)
     total = detection.found
     lines = [f'{total.sum()} of {total.size} marks', *detection.messages]
     for row, line in enumerate(lines, start=1):
-        _write(image, line, (2 * radius, round(35 * scale * row)), scale)
+        write_label(image, line, (2 * radius, round(35 * scale * row)), scale)
     return image
-
-
-def _write(image: ByteImage, text: str, place: tuple[int, int], scale: float) -> None:
-    for colour, width in ((_OUTLINE, 4), (_TEXT, 1)):
-        thickness = max(1, round(scale * width))
-        cv2.putText(
-            image, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA
-        )

@@ -57,7 +57,7 @@ def embedded_image(data: bytes, format_: str, text: str) -> str:
     """Return an image of the page: the bytes of a JPEG or PNG file, and what it shows."""
     plain = escape(re.sub('<.*?>', '', text), quote=True)
     encoded = b64encode(data).decode()
-    return f'<img loading="lazy" alt="{plain}" src="data:image/{format_};base64,{encoded}">'
+    return f'<img alt="{plain}" src="data:image/{format_};base64,{encoded}">'
 
 
 def image_figure(image: ByteImage, caption: str, *, photo: bool = False) -> str:
@@ -158,10 +158,23 @@ figure img { border-radius: 3px; }
 .advice { grid-column: 1 / -1; margin: 0; padding-left: 1.3rem; }
 .small { grid-column: 1 / -1; display: grid; gap: .9rem;
   grid-template-columns: repeat(auto-fill, minmax(18rem, 1fr)); }
-@page { size: A4; margin: 15mm; }
+@page { size: A4; margin: 14mm; }
 @media print {
-  body { background: white; } header { background: none; color: black; padding: 0; }
-  section { break-inside: avoid; box-shadow: none; padding: 0; }
-  .small figure { break-inside: avoid; }
+  :root { font-size: 11px; }
+  body { background: none; print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  header { background: none; color: inherit; padding: 0; }
+  main, footer { max-width: none; padding: 0; }
+  section, .notes, .good { box-shadow: none; padding: 0; }
+  .notes, .good { padding: 0 0 0 1.5rem; }
+  .cards li { box-shadow: none; border: 1px solid #e4e9ee; border-top: 4px solid #0b7a75; }
+  h2, section > p { break-inside: avoid; break-after: avoid; }
+  figure, table, tr, li, footer { break-inside: avoid; }
+  footer { break-before: avoid; }
+  thead { display: table-header-group; }
+  .content, .images { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+  .small { grid-template-columns: repeat(3, minmax(0, 1fr)); }
+  .scroll { overflow: visible; }
+  .scroll table { font-size: .75rem; }
+  .scroll th, .scroll td { white-space: normal; overflow-wrap: anywhere; padding: .2rem .3rem; }
 }
 """

@@ -9,9 +9,10 @@ from html import escape
 import numpy as np
 
 from binocular_recon.camera import FloatArray
+from binocular_recon.number_text import plain
 
 INK, FAINT, GRID = '#22313f', '#71808f', '#e4e9ee'
-# Most numbers in a image need no more digits than a tenth of a pixel.
+# Places in a drawing need no more digits than a tenth of a pixel.
 _DIGITS = 1
 
 
@@ -105,11 +106,11 @@ class Chart:
         )
 
     def text(
-        self, point: Sequence[float], words: str, color: str = INK, anchor: str = 'middle'
+        self, point: Sequence[float], text: str, color: str = INK, anchor: str = 'middle'
     ) -> None:
         """Write at a data point."""
         ((x, y),) = self.place(np.array([point]))
-        self._write(x, y, words, color, anchor)
+        self._write(x, y, text, color, anchor)
 
     def frame(self) -> None:
         """Draw the border of the area."""
@@ -117,7 +118,7 @@ class Chart:
         self.line(np.array(corners), FAINT, 1)
 
     def svg(self, title: str) -> str:
-        """Return the image; ``title`` describes it to those who cannot see it."""
+        """Return the SVG; ``title`` describes it to those who cannot see it."""
         width, height = self.size
         return (
             f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}"'
@@ -129,7 +130,7 @@ class Chart:
             ends = np.array([[value, self._y[0]], [value, self._y[1]]])
             self.line(ends, GRID, 1)
             ((x, y),) = self.place(ends[:1])
-            self._write(x, y + 15, f'{value:g}', FAINT)
+            self._write(x, y + 15, plain(value), FAINT)
         self._write((self._left + self._right) / 2, self.size[1] - 5, label)
 
     def _y_axis(self, label: str) -> None:
@@ -137,7 +138,7 @@ class Chart:
             ends = np.array([[self._x[0], value], [self._x[1], value]])
             self.line(ends, GRID, 1)
             ((x, y),) = self.place(ends[:1])
-            self._write(x - 6, y + 4, f'{value:g}', FAINT, 'end')
+            self._write(x - 6, y + 4, plain(value), FAINT, 'end')
         middle = (self._top + self._bottom) / 2
         self._parts.append(
             f'<text x="14" y="{middle}" fill="{INK}" text-anchor="middle"'
@@ -145,16 +146,16 @@ class Chart:
         )
 
     def _write(
-        self, x: float, y: float, words: str, color: str = INK, anchor: str = 'middle'
+        self, x: float, y: float, text: str, color: str = INK, anchor: str = 'middle'
     ) -> None:
         self._parts.append(
             f'<text x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" fill="{color}"'
-            f' text-anchor="{anchor}">{escape(words)}</text>'
+            f' text-anchor="{anchor}">{escape(text)}</text>'
         )
 
 
 def ticks(start: float, stop: float, about: int = 6) -> FloatArray:
-    """Return round numbers between two limits, about so many."""
+    """Return about so many round numbers between two limits."""
     low, high = sorted((start, stop))
     raw = (high - low) / about
     unit = 10.0 ** np.floor(np.log10(raw))

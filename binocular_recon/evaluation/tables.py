@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and numbers of results: Markdown for people, plain values for JSON."""
+"""Results as Markdown tables for people and as plain values for JSON."""
 
 from __future__ import annotations
 
@@ -24,13 +24,6 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         '-' * (width + 2) if i == 0 else '-' * (width + 1) + ':' for i, width in enumerate(widths)
     )
     return '\n'.join([line(header), rule + '|', *map(line, rows)])
-
-
-def figure(value: float | None, digits: int = 1) -> str:
-    """Return a number for a table, ``-`` if there is none."""
-    if value is None or math.isnan(value):
-        return '-'
-    return f'{value:.{digits}f}' if math.isfinite(value) else 'none'
 
 
 def to_plain(value: Any) -> Any:

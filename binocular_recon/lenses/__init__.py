@@ -3,7 +3,8 @@
 
 Every part that distorts or undistorts points does it here, so that all agree. Rays are points of
 the plane at depth 1, (X / Z, Y / Z); distorted points become pixels by K. To add a lens, derive
-from `Lens` and list it in `LENSES`, which is keyed by the ``distortion_model`` of a CameraInfo.
+from `Lens` and list it in `LENSES`, which is keyed by the ``distortion_model`` of a CameraInfo;
+calibration and rectification then know all they need of it.
 """
 
 from typing import TYPE_CHECKING

@@ -6,12 +6,13 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.polynomial import polyval
 
 from binocular_recon.lenses._inversion import inverse, least_root, matrices
-from binocular_recon.lenses.lens import FloatArray, Lens
+from binocular_recon.lenses.lens import FloatArray, FloatMap, Lens
 
 # Rays this close to the optical axis are imaged where they are.
 _AXIS = 1e-8
@@ -25,6 +26,9 @@ class EquidistantLens(Lens):
     camera model and calibration method" (2006), as in ``cv2.fisheye``.
     """
 
+    COEFFICIENTS = ('k1', 'k2', 'k3', 'k4')
+    DEFAULT_COEFFICIENTS = ('k1', 'k2')
+    WIDE_ANGLE = True
     # the largest angle that is undistorted, rad: tan(1.5707) is 10,000
     LARGEST_ANGLE: ClassVar = 1.5707
 
@@ -78,6 +82,13 @@ class EquidistantLens(Lens):
             self.LARGEST_ANGLE, coefficients
         )
         return inside
+
+    def raw_pixels(
+        self, K: FloatArray, D: FloatArray, R: FloatArray, P: FloatArray, size: tuple[int, int]
+    ) -> tuple[FloatMap, FloatMap]:
+        """Return the raw pixel that each pixel of a rectified image shows; by OpenCV."""
+        columns, rows = cv2.fisheye.initUndistortRectifyMap(K, D, R, P, size, cv2.CV_32FC1)
+        return columns, rows
 
     @staticmethod
     def _ratio(rays: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from binocular_recon.lenses._inversion import determinant, inverse, least_root, matrices, solve
-from binocular_recon.lenses.lens import FloatArray, Lens
+from binocular_recon.lenses.lens import FloatArray, FloatMap, Lens
 
 # A ray is exact once it is imaged this closely to its point, as a share of 1 + its distance from
 # the centre: 2e-10 px at a focal length of 2000 px.
@@ -26,6 +27,8 @@ class PolynomialLens(Lens):
     Coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y; those that
     are not given are 0. ``plumb_bob`` stops at k3.
     """
+
+    POLYNOMIAL = True
 
     def distort(self, rays: FloatArray, D: FloatArray) -> FloatArray:
         """Return the distorted points (..., 2) of rays (..., 2)."""
@@ -75,6 +78,33 @@ class PolynomialLens(Lens):
                 start = target[failed] * _radial_start(target[failed], D, limit)[:, None]
                 rays[failed] = _newton(target[failed], start, D, limit)
         return rays.reshape(points.shape)
+
+    def raw_pixels(
+        self, K: FloatArray, D: FloatArray, R: FloatArray, P: FloatArray, size: tuple[int, int]
+    ) -> tuple[FloatMap, FloatMap]:
+        """Return the raw pixel that each pixel of a rectified image shows; by OpenCV."""
+        columns, rows = cv2.initUndistortRectifyMap(K, D, R, P, size, cv2.CV_32FC1)
+        return columns, rows
+
+
+class PlumbBobLens(PolynomialLens):
+    """A polynomial lens as it is calibrated: with rational terms where the marks call for them."""
+
+    COEFFICIENTS = ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6')
+    # a third radial term, or a rational model, is not determined by the marks of a few boards
+    DEFAULT_COEFFICIENTS = ('k1', 'k2', 'p1', 'p2')
+    TANGENTIAL = ('p1', 'p2')
+
+    @property
+    def models(self) -> dict[str, tuple[str, ...]]:
+        """Sets of coefficients that a calibration compares; p1 and p2 come together."""
+        terms = self.COEFFICIENTS
+        smaller = {' '.join(terms[:count]) or 'none': terms[:count] for count in (0, 1, 2, 4, 5)}
+        return {**smaller, 'rational': terms}
+
+    def stated(self, D: FloatArray) -> tuple[str, FloatArray]:
+        """Return ``plumb_bob`` or, with rational terms, ``rational_polynomial``, and its D."""
+        return ('rational_polynomial', D) if D[5:].any() else (self.name, D[:5])
 
 
 def _newton(target: FloatArray, start: FloatArray, D: FloatArray, limit: float) -> FloatArray:

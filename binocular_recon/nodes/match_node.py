@@ -100,11 +100,7 @@ class MatchNode(FrameNode):
         found = self._range.update(
             left_grey, right_grey, config, rig.disparity_offset_px, time.monotonic()
         )
-        near, far = found.search.depths_m(rig)
-        text = (
-            f'{found.search.min_disparity} to {found.search.last} px, depths of {near:.2f} m to'
-            f' {far:.1f} m'
-        )
+        text = found.search.describe(rig)
         self.health.state('search range', text)
         if found.changed:
             self.get_logger().info(f'search range: {text}')

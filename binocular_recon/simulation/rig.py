@@ -48,15 +48,15 @@ class RawRig:
     def stereo_rig(self) -> StereoRig:
         """Return the rig with the R and P that rectify it (cv2.stereoRectify, alpha 0).
 
-        With a fisheye lens P keeps the focal length (alpha -1).
+        With a lens that OpenCV's function does not know, P keeps the focal length (alpha -1).
         """
-        fisheye = self.left.distortion_model == 'equidistant'
+        known = self.left.lens.POLYNOMIAL
         D_left, D_right = (
-            np.zeros(5) if fisheye else camera.D for camera in (self.left, self.right)
+            camera.D if known else np.zeros(5) for camera in (self.left, self.right)
         )
         R_left, R_right, P_left, P_right = cv2.stereoRectify(
             self.left.K, D_left, self.right.K, D_right, self.left.size, self.R,
-            self.T.reshape(3, 1), alpha=-1.0 if fisheye else 0.0,
+            self.T.reshape(3, 1), alpha=0.0 if known else -1.0,
         )[:4]  # fmt: skip
         return StereoRig(
             replace(self.left, R=R_left, P=P_left), replace(self.right, R=R_right, P=P_right)

@@ -194,8 +194,8 @@ def estimate_disparity(
     mark_empty(left_grey)
     mark_empty(right_grey)
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
-    search = chosen.search
-    matched = match(left_grey, right_grey, search.applied_to(config.match))  # eq. 10
+    searched = chosen.search.applied_to(config.match)
+    matched = match(left_grey, right_grey, searched)  # eq. 10
     if matched.matched_share < FEW_MATCHED:
         check_order(left_grey, right_grey, config.match, infinity_px)
     wls = wls or DisparityFilter(config.filter)
@@ -203,7 +203,7 @@ def estimate_disparity(
         matched.disparity_px,
         matched.confidence,
         left_grey,
-        limits_px=search.limits_px,
+        limits_px=searched.limits_px,
         reasons=matched.validity,
     )
     return DisparityEstimate(matched, filtered, chosen)

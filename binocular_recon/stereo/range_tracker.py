@@ -55,12 +55,8 @@ class RangeTracker:
 
         Parameters
         ----------
-        left, right : (H, W) float32
-            Rectified grey images; NaN = no data.
-        config : MatchConfig
-            The range, or ``disparity_range`` 0 to find it.
-        infinity_px : float
-            Disparity of a point at infinity.
+        left, right, config, infinity_px
+            As for `choose_range`.
         now_s : float
             Time of a monotonic clock, s.
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.number_text import significant
 
 Map = npt.NDArray[np.float32]
 
@@ -37,11 +38,7 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
         Raw column and row, px; pixel centres are at whole numbers.
 
     """
-    module = cv2.fisheye if camera.distortion_model == 'equidistant' else cv2
-    map_x, map_y = module.initUndistortRectifyMap(
-        camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
-    )
-    return map_x, map_y
+    return camera.lens.raw_pixels(camera.K, camera.D, camera.R, camera.P[:, :3], camera.size)
 
 
 def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
@@ -150,8 +147,9 @@ def _check_rotation(camera: Camera, side: str) -> None:
     deviation = np.abs(camera.R @ camera.R.T - np.eye(3)).max()
     if deviation > _ROTATION_TOLERANCE or np.linalg.det(camera.R) < 0:
         raise CalibrationError(
-            f'{side} camera: R is not a rotation (R R^T is {deviation:.2g} from the identity,'
-            f' determinant {np.linalg.det(camera.R):.2g}); calibrate as a stereo rig'
+            f'{side} camera: R is not a rotation (R R^T is {significant(deviation, 2)} from the'
+            f' identity, determinant {significant(np.linalg.det(camera.R), 2)}); calibrate'
+            ' as a stereo rig'
         )
 
 

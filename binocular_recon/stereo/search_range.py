@@ -63,11 +63,6 @@ class SearchRange(NamedTuple):
         """The largest disparity searched, px."""
         return self.min_disparity + self.disparity_range - 1
 
-    @property
-    def limits_px(self) -> tuple[float, float]:
-        """Smallest and largest disparity searched, px."""
-        return float(self.min_disparity), float(self.last)
-
     def depths_m(self, rig: StereoRig) -> tuple[float, float]:
         """Return the nearest and the farthest depth of these disparities, m."""
         near, far = (
@@ -75,6 +70,13 @@ class SearchRange(NamedTuple):
             for shift in (limit - rig.disparity_offset_px for limit in (self.last, self[0]))
         )
         return near, far
+
+    def describe(self, rig: StereoRig) -> str:
+        """Say which disparities are searched, and which depths they are."""
+        near, far = self.depths_m(rig)
+        reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
+        depths = f'depths of {near:.2f} m to {reach}' if math.isfinite(near) else 'no depth'
+        return f'{self.min_disparity} to {self.last} px, {depths}'
 
     def applied_to(self, config: MatchConfig) -> MatchConfig:
         """Return ``config`` with this range."""
@@ -228,12 +230,10 @@ def choose_range(
 
     Parameters
     ----------
-    left, right : (H, W) float32
-        Rectified grey images; NaN = no data.
+    left, right, infinity_px
+        As for `overview`.
     config : MatchConfig
         The range, or ``disparity_range`` 0 to find it.
-    infinity_px : float, optional
-        As for `overview`.
     check : bool
         Whether to check a given range.
 
@@ -280,10 +280,8 @@ def check_order(
 
     Parameters
     ----------
-    left, right : (H, W) float32
-        Rectified grey images of which few pixels could be matched; NaN = no data.
-    config, infinity_px
-        As for `overview`.
+    left, right, config, infinity_px
+        As for `overview`; of images of which few pixels could be matched.
 
     """
     given = overview(left, right, config, infinity_px or 0.0).matched_share

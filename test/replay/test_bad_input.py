@@ -129,10 +129,10 @@ def test_a_truncated_image_costs_one_frame(
     records = []
     for index in range(3):
         stamp = START_NS + index
-        for side, camera, picture in zip(
+        for side, camera, pixels in zip(
             ('left', 'right'), (rig().left, rig().right), image_pair(index), strict=True
         ):
-            info, image = info_message(camera, stamp), compressed_message(picture, stamp)
+            info, image = info_message(camera, stamp), compressed_message(pixels, stamp)
             records.append((f'/{side}/camera_info', info, stamp))
             records.append((f'/{side}/image_raw/compressed', image, stamp))
     records[5][1].data = records[5][1].data[:kept_bytes]

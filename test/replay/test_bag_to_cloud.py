@@ -75,7 +75,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp('wall')
     bag = write_wall(folder / 'bag')
     words = ['reconstruct', str(bag), '--output', str(folder / 'out'), '--disparity-range', '48']
-    assert main([*words, '--pictures']) == 0
+    assert main([*words, '--drawings']) == 0
     return bag, folder / 'out'
 
 

@@ -57,8 +57,8 @@ def test_every_nth_pair_and_no_more_than_asked(tmp_path: Path) -> None:
 
 
 def test_named_topics_are_used(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / 'bag', stereo_records(1, '/odd', image='picture'))
-    words = ['--left-image', '/odd/left/picture', '--right-image', '/odd/right/picture']
+    bag = write_bag(tmp_path / 'bag', stereo_records(1, '/odd', image='photo'))
+    words = ['--left-image', '/odd/left/photo', '--right-image', '/odd/right/photo']
     assert reconstruct(bag, tmp_path / 'out', *words) == 0
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert summary['source']['infos'] == ['/odd/left/camera_info', '/odd/right/camera_info']

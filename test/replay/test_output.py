@@ -61,7 +61,7 @@ def test_an_earlier_run_is_replaced_as_a_whole_or_not_at_all(
 ) -> None:
     output = tmp_path / 'out'
     bag = write_bag(tmp_path / 'bag', stereo_records(3))
-    assert reconstruct(bag, output, '--pictures') == 0
+    assert reconstruct(bag, output, '--drawings') == 0
     (output / '000009_notes.txt').write_text('mine')
     before = sorted(output.iterdir())
     bad = tmp_path / 'bad'

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -79,6 +81,21 @@ def test_the_whole_image_of_a_real_lens_is_undistorted_exactly(name: str, D: lis
     found = lens.undistort(lens.distort(rays, coefficients), coefficients)
     np.testing.assert_allclose(found, rays, atol=1e-12)
     assert np.nanmax(round_trip_px(name, coefficients, raw_grid())) < 1e-9
+
+
+@pytest.mark.parametrize('name', [name for name in LENSES if LENSES[name].COEFFICIENTS])
+def test_what_a_calibration_needs_of_a_lens_fits_together(name: str) -> None:
+    lens = LENSES[name]
+    sets = list(lens.models.values())
+    assert lens.models[lens.default_model] == lens.DEFAULT_COEFFICIENTS
+    assert sets[0] == () and sets[-1] == lens.COEFFICIENTS
+    assert all(smaller == larger[: len(smaller)] for smaller, larger in pairwise(sets))
+    assert set(lens.TANGENTIAL) <= set(lens.COEFFICIENTS)
+    for values in (np.zeros(len(lens.COEFFICIENTS)), np.full(len(lens.COEFFICIENTS), 0.01)):
+        model, D = lens.stated(values)
+        assert D.size in LENSES[model].counts
+        np.testing.assert_array_equal(D, values[: D.size])
+        assert not values[D.size :].any()
 
 
 def test_the_strong_distortion_of_a_wide_lens_is_undone_where_opencv_is_off() -> None:

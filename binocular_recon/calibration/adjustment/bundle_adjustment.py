@@ -26,7 +26,6 @@ from binocular_recon.calibration.adjustment.linearisation import (
     predict,
 )
 from binocular_recon.calibration.model import (
-    COEFFICIENTS,
     DEFAULT_LENS,
     StereoCalibration,
     check_finite,
@@ -35,6 +34,7 @@ from binocular_recon.calibration.model import (
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
+from binocular_recon.lenses.registry import LENSES
 
 # rho turns linear here: 99 % of Gaussian errors stay in the quadratic part, which keeps the
 # estimate within 1 % of the best possible one.
@@ -54,7 +54,7 @@ MAX_ITERATIONS = 100
 
 def free_parameters(coefficients: Collection[str], lens: str = DEFAULT_LENS) -> Mask:
     """Return which parameters are estimated, (p,) bool, with these distortion terms of a lens."""
-    fixed = {f'{name}_{side}' for name in COEFFICIENTS[lens] for side in ('left', 'right')}
+    fixed = {f'{name}_{side}' for name in LENSES[lens].COEFFICIENTS for side in ('left', 'right')}
     fixed -= {f'{name}_{side}' for name in coefficients for side in ('left', 'right')}
     return np.array([name not in fixed for name in parameters_of(lens)])
 
@@ -238,8 +238,9 @@ def _parameters(calibration: StereoCalibration) -> FloatArray:
 
 def _calibration_prior(calibration: StereoCalibration) -> tuple[FloatArray, FloatArray]:
     """Return the prior's information (p, p) and right-hand side (p,)."""
-    names = COEFFICIENTS[calibration.lens]
-    sigmas = np.array([TANGENTIAL_SIGMA if n[0] == 'p' else DISTORTION_SIGMA for n in names])
+    lens = calibration.lens_model
+    names, tangential = lens.COEFFICIENTS, lens.TANGENTIAL
+    sigmas = np.array([TANGENTIAL_SIGMA if n in tangential else DISTORTION_SIGMA for n in names])
     count = len(calibration.parameters)
     prior = np.zeros((count, count))
     for start, K in ((0, calibration.K_left), (4 + len(names), calibration.K_right)):

@@ -2,7 +2,8 @@
 """Which terms of lens distortion the marks call for: by evidence, not by habit.
 
 A model with more terms always fits better; it is taken only if the misfit falls by more than
-the terms would win by chance (Bayesian information criterion; Schwarz 1978). Few boards leave
+the terms would win by chance (Bayesian information criterion; Schwarz 1978). Those simpler than
+the default are compared for the report, never chosen. Few boards leave
 the image's corners empty, where superfluous terms do their harm unseen.
 """
 
@@ -19,29 +20,10 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import (
     minimise,
 )
 from binocular_recon.calibration.adjustment.linearisation import State
-from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS
 from binocular_recon.calibration.model import DEFAULT_LENS
 from binocular_recon.errors import CalibrationError
+from binocular_recon.lenses.registry import LENSES
 
-# Per lens, from few terms to many; those simpler than the default are compared for the report,
-# never chosen.
-MODELS: dict[str, dict[str, tuple[str, ...]]] = {
-    'plumb_bob': {
-        'none': (),
-        'k1': ('k1',),
-        'k1 k2': ('k1', 'k2'),
-        'k1 k2 p1 p2': ('k1', 'k2', 'p1', 'p2'),
-        'k1 k2 p1 p2 k3': ('k1', 'k2', 'p1', 'p2', 'k3'),
-        'rational': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
-    },
-    'equidistant': {
-        'none': (),
-        'k1': ('k1',),
-        'k1 k2': ('k1', 'k2'),
-        'k1 k2 k3': ('k1', 'k2', 'k3'),
-        'k1 k2 k3 k4': ('k1', 'k2', 'k3', 'k4'),
-    },
-}
 # "Very strong" evidence on Kass and Raftery's scale (1995).
 STRONG_EVIDENCE = 10.0
 
@@ -53,7 +35,7 @@ class Evidence:
     Attributes
     ----------
     model : str
-        Key of the lens' ``MODELS``.
+        Key of `Lens.models`.
     chi2 : float
         Sum of squared residuals in standard deviations (robust, priors included).
     parameters : int
@@ -69,11 +51,6 @@ class Evidence:
     bic: float
 
 
-def default_model(lens: str) -> str:
-    """Return the model that a lens starts with, a key of its ``MODELS``."""
-    return ' '.join(DEFAULT_COEFFICIENTS[lens])
-
-
 def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
     """Fit every model of the lens to the same marks with the same noise.
 
@@ -85,9 +62,9 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
         Solution of the default model.
 
     """
-    found, lens = [], state.calibration.lens
-    for model, coefficients in MODELS[lens].items():
-        candidate = replace(problem, free=free_parameters(coefficients, lens))
+    found, lens = [], state.calibration.lens_model
+    for model, coefficients in lens.models.items():
+        candidate = replace(problem, free=free_parameters(coefficients, lens.name))
         try:
             chi2 = 2 * cost(candidate, minimise(candidate, _restricted(state, coefficients)))
         except CalibrationError:
@@ -95,7 +72,7 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
         found.append((model, chi2, int(candidate.free.sum())))
     penalty = np.log(2 * problem.seen.sum())
     reference = next(
-        chi2 + count * penalty for model, chi2, count in found if model == default_model(lens)
+        chi2 + count * penalty for model, chi2, count in found if model == lens.default_model
     )
     return tuple(
         Evidence(model, chi2, count, chi2 + count * penalty - reference)
@@ -105,10 +82,10 @@ def compare_models(problem: Problem, state: State) -> tuple[Evidence, ...]:
 
 def choose_model(evidence: tuple[Evidence, ...], lens: str = DEFAULT_LENS) -> str:
     """Return the default model, or a larger one that the marks strongly call for."""
-    names, default = list(MODELS[lens]), default_model(lens)
+    names, default = list(LENSES[lens].models), LENSES[lens].default_model
     larger = [e for e in evidence if names.index(e.model) > names.index(default)]
-    best = min(larger, key=lambda e: e.bic)
-    return best.model if best.bic < -STRONG_EVIDENCE else default
+    best = min(larger, key=lambda e: e.bic, default=None)
+    return best.model if best and best.bic < -STRONG_EVIDENCE else default
 
 
 def _restricted(state: State, coefficients: tuple[str, ...]) -> State:

@@ -26,6 +26,7 @@ from binocular_recon.calibration.adjustment.linearisation import State, linearis
 from binocular_recon.calibration.adjustment.planar import MIN_MARKS
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
+from binocular_recon.number_text import significant
 
 # A mark farther off than this many standard deviations (of both axes together) is left out: one
 # good mark in 100,000 is.
@@ -271,7 +272,7 @@ def _worst_board(fit: Fit) -> tuple[int | None, str]:
 def _reason(fit: Fit, board: int) -> str:
     errors_px = fit.errors_px[board][np.isfinite(fit.errors_px[board])]
     return (
-        f'its marks are off by {np.median(errors_px):.2g} px, those of all boards by'
-        f' {np.nanmedian(fit.errors_px):.2g} px; a rod moved between its two images, or they'
-        ' are blurred'
+        f'its marks are off by {significant(np.median(errors_px), 2)} px, those of all boards by'
+        f' {significant(np.nanmedian(fit.errors_px), 2)} px; a rod moved between its two'
+        ' images, or they are blurred'
     )

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start values of an equidistant camera.
+"""Start values of a wide-angle camera.
 
 Zhang's method needs homographies, which a fisheye image does not follow. Its one unknown that
-matters at first is the focal length: for every one tried, the marks become rays of an ideal
-equidistant lens, each board gets its pose from them, and the focal length that reproduces the
+matters at first is the focal length: for every one tried, the marks become rays of the ideal lens
+(coefficients 0), each board gets its pose from them, and the focal length that reproduces the
 marks best is taken. The adjustment does the rest.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from binocular_recon.calibration.adjustment._camera_estimate import CameraEstimate
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
-from binocular_recon.lenses.registry import LENSES
+from binocular_recon.lenses.lens import Lens
 
 # Focal lengths tried, as shares of the longer side of the image; then finer about the best one.
 _FOCAL_SHARES = np.geomspace(0.15, 3.0, 31)
@@ -26,13 +26,12 @@ _BOARDS = 20
 # the pose of a board, rad.
 _LARGEST_ANGLE = np.radians(80)
 _LEAST_MARKS = 6
-_D = np.zeros(4)
 
 
 def start_fisheye(
-    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]
+    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: Lens
 ) -> CameraEstimate:
-    """Return an ideal equidistant camera and the boards' poses.
+    """Return a camera with the ideal lens and the boards' poses.
 
     Parameters
     ----------
@@ -42,6 +41,8 @@ def start_fisheye(
         Where they were found, px; NaN = not found.
     image_size : (int, int)
         Width and height, px.
+    lens : Lens
+        Its coefficients are taken as 0.
 
     Raises
     ------
@@ -49,24 +50,27 @@ def start_fisheye(
         If no focal length fits, or a board has too few marks within 80 degrees of the axis.
 
     """
-    K, _ = fisheye_guess(points, pixels, image_size)
-    poses = [_pose(points, board, K) for board in pixels]
+    K, _ = fisheye_guess(points, pixels, image_size, lens)
+    poses = [_pose(points, board, K, lens) for board in pixels]
     found = [pose for pose in poses if pose is not None]
     if len(found) < len(poses):
         raise CalibrationError(
             f'{len(poses) - len(found)} of {len(poses)} boards have fewer than {_LEAST_MARKS}'
-            ' marks within 80 degrees of the optical axis that fit an equidistant lens; leave'
+            f' marks within 80 degrees of the optical axis that fit a lens {lens.name}; leave'
             ' these boards out, or calibrate with another lens'
         )
     return CameraEstimate(
-        K, _D, np.array([R for R, _ in found]), np.array([shift for _, shift in found])
+        K,
+        _no_distortion(lens),
+        np.array([R for R, _ in found]),
+        np.array([shift for _, shift in found]),
     )
 
 
 def fisheye_guess(
-    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]
+    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: Lens
 ) -> tuple[FloatArray, FloatArray]:
-    """Return K of the ideal equidistant camera that fits best, and each board's error, px.
+    """Return K of the camera with the ideal lens that fits best, and each board's error, px.
 
     The principal point is the centre of the image. Errors (B,) are root mean squares of the
     distance; inf where a board has no pose.
@@ -75,24 +79,24 @@ def fisheye_guess(
     shares = _FOCAL_SHARES
     for _ in range(2):
         cameras = [_ideal(share * max(image_size), image_size) for share in shares]
-        errors = [np.median(_errors(points, some, K)) for K in cameras]
+        errors = [np.median(_errors(points, some, K, lens)) for K in cameras]
         best = int(np.argmin(errors))
         shares = shares[best] * _FINER
     if not np.isfinite(errors[best]):
         raise CalibrationError(
-            'no equidistant camera fits the marks; check that rods.yaml states the rods in the'
-            ' images and that the lens is a fisheye, and capture boards at more distances and'
+            f'no {lens.name} camera fits the marks; check that rods.yaml states the rods in the'
+            ' images and that the lens is such a one, and capture boards at more distances and'
             ' angles'
         )
-    return cameras[best], _errors(points, pixels, cameras[best])
+    return cameras[best], _errors(points, pixels, cameras[best], lens)
 
 
-def pinhole_pixels(pixels: FloatArray, K: FloatArray) -> FloatArray:
-    """Return pixels (..., 2) of an ideal equidistant camera as those of a pinhole with its K.
+def pinhole_pixels(pixels: FloatArray, K: FloatArray, lens: Lens) -> FloatArray:
+    """Return pixels (..., 2) of a camera with the ideal lens as those of a pinhole with its K.
 
     NaN beyond 80 degrees from the axis.
     """
-    return np.diag(K)[:2] * _rays(pixels, K) + K[:2, 2]
+    return np.diag(K)[:2] * _rays(pixels, K, lens) + K[:2, 2]
 
 
 def _ideal(focal: float, image_size: tuple[int, int]) -> FloatArray:
@@ -100,17 +104,21 @@ def _ideal(focal: float, image_size: tuple[int, int]) -> FloatArray:
     return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
 
 
-def _rays(pixels: FloatArray, K: FloatArray) -> FloatArray:
-    rays = LENSES['equidistant'].rays(pixels, K, _D)
+def _no_distortion(lens: Lens) -> FloatArray:
+    return np.zeros(len(lens.COEFFICIENTS))
+
+
+def _rays(pixels: FloatArray, K: FloatArray, lens: Lens) -> FloatArray:
+    rays = lens.rays(pixels, K, _no_distortion(lens))
     far = np.linalg.norm(rays, axis=-1, keepdims=True) > np.tan(_LARGEST_ANGLE)
     return np.where(far, np.nan, rays)
 
 
 def _pose(
-    points: FloatArray, board: FloatArray, K: FloatArray
+    points: FloatArray, board: FloatArray, K: FloatArray, lens: Lens
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return rotation and translation of a board, None if there are none in front."""
-    rays = _rays(board, K)
+    rays = _rays(board, K, lens)
     seen = np.isfinite(rays).all(axis=-1)
     if seen.sum() < _LEAST_MARKS:
         return None
@@ -125,14 +133,15 @@ def _pose(
     return (R, np.asarray(shift.ravel(), np.float64)) if ahead else None
 
 
-def _errors(points: FloatArray, pixels: FloatArray, K: FloatArray) -> FloatArray:
+def _errors(points: FloatArray, pixels: FloatArray, K: FloatArray, lens: Lens) -> FloatArray:
     """Return the root mean square distance of each board's marks from where its pose has them."""
     errors = np.full(len(pixels), np.inf)
     for index, board in enumerate(pixels):
-        pose = _pose(points, board, K)
+        pose = _pose(points, board, K, lens)
         if pose is not None:
             local = points @ pose[0].T + pose[1]
-            expected = LENSES['equidistant'].pixels(local[:, :2] / local[:, 2:], K, _D)
+            rays = local[:, :2] / local[:, 2:]
+            expected = lens.pixels(rays, K, _no_distortion(lens))
             squares = np.sum((expected - board) ** 2, axis=-1)
             errors[index] = np.sqrt(np.nanmean(squares))
     return errors

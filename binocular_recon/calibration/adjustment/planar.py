@@ -26,14 +26,13 @@ from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.images import Mask
+from binocular_recon.lenses.lens import Lens
+from binocular_recon.lenses.registry import LENSES
 
 # Marks of a board that one camera must see for a homography that means something.
 MIN_MARKS = 6
 # Boards that Zhang's method starts from; the refinement that follows uses all.
 _ZHANG_BOARDS = 20
-# A third radial term, or a rational model, is not determined by the marks of a few boards;
-# `distortion` adds terms where the marks call for them.
-DEFAULT_COEFFICIENTS = {'plumb_bob': ('k1', 'k2', 'p1', 'p2'), 'equidistant': ('k1', 'k2')}
 _FLAGS = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
 
 
@@ -47,7 +46,7 @@ def calibrate_planar(
 
     Zhang's method per camera, then both cameras and all boards refined together by
     `bundle_adjustment`: as ``cv2.stereoCalibrate``, but robust against single marks and with
-    its priors on lenses; left and right are free to differ. A fisheye lens starts from
+    its priors on lenses; left and right are free to differ. A wide-angle lens starts from
     `fisheye_start` instead of Zhang's method.
 
     Parameters
@@ -60,12 +59,13 @@ def calibrate_planar(
     image_size : (int, int)
         Width and height, px.
     lens : str
-        Lens of both cameras, a key of `model.COEFFICIENTS`.
+        Lens of both cameras, one of `model.calibrated_lenses`.
 
     Returns
     -------
     State
-        Both cameras (``DEFAULT_COEFFICIENTS``) and the boards' poses, no rod displaced.
+        Both cameras (`Lens.DEFAULT_COEFFICIENTS`; `distortion` adds terms where the marks call
+        for them) and the boards' poses, no rod displaced.
 
     Raises
     ------
@@ -75,9 +75,10 @@ def calibrate_planar(
     """
     points = target.nominal_m.reshape(-1, 3)
     count = len(observed_px)
-    start = start_fisheye if lens == 'equidistant' else _calibrate_camera
+    model = LENSES[lens]
+    start = start_fisheye if model.WIDE_ANGLE else _calibrate_camera
     left, right = (
-        start(points, pixels.reshape(count, -1, 2), image_size)
+        start(points, pixels.reshape(count, -1, 2), image_size, model)
         for pixels in (observed_px[..., :2], observed_px[..., 2:])
     )
     # each board gives the pose between the cameras once; the medians ignore a few bad boards
@@ -90,13 +91,14 @@ def calibrate_planar(
     )
     errors = np.abs(observed_px - predict(state, target.exact()))
     noise = np.full(2, max(np.nanmedian(errors) / 0.6745, NOISE_FLOOR_PX))
-    free = free_parameters(DEFAULT_COEFFICIENTS[lens], lens)
+    free = free_parameters(model.DEFAULT_COEFFICIENTS, lens)
     return minimise(Problem(target.exact(), observed_px, free, noise), state)
 
 
 def _calibrate_camera(
-    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int]
+    points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: Lens
 ) -> CameraEstimate:
+    """Return a camera by Zhang's method, without distortion if the lens' D is not OpenCV's."""
     seen: Mask = np.all(np.isfinite(pixels), axis=-1)
     # the effort of OpenCV's method grows with the third power of the number of boards
     some = np.unique(np.linspace(0, len(pixels) - 1, _ZHANG_BOARDS).astype(int))
@@ -120,7 +122,7 @@ def _calibrate_camera(
         ) from error
     return CameraEstimate(
         K=K,
-        D=D.ravel(),
+        D=D.ravel() if lens.POLYNOMIAL else np.zeros(len(lens.COEFFICIENTS)),
         rotations=np.array([cv2.Rodrigues(turn)[0] for turn, _ in poses]),
         translations_m=np.array([shift.ravel() for _, shift in poses]),
     )

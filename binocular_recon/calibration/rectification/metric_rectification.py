@@ -21,6 +21,7 @@ from binocular_recon.calibration.rectification.homography import (
 )
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.number_text import significant
 from binocular_recon.rotations import rotation
 
 # The principal points of both cameras are the same, so that a point at infinity has disparity 0,
@@ -85,13 +86,14 @@ def check_order(calibration: StereoCalibration) -> None:
     x, y, _ = calibration.right_centre_m
     if abs(y) > abs(x):
         raise CalibrationError(
-            f'the right camera stands {abs(y):.3g} m above or below the left one and'
-            f' {abs(x):.3g} m beside it; rows can only be matched between cameras side by side'
+            f'the right camera stands {significant(abs(y))} m above or below the left one and'
+            f' {significant(abs(x))} m beside it; rows can only be matched between cameras side'
+            ' by side'
         )
     if x < 0:
         raise CalibrationError(
-            f'left and right are swapped: the right camera stands {-x:.3g} m to the left of the'
-            ' left one; exchange the images of the two cameras'
+            f'left and right are swapped: the right camera stands {significant(-x)} m to the left'
+            ' of the left one; exchange the images of the two cameras'
         )
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration report: one HTML file that needs no network.
 
-`report` writes the sections, `_charts` and `_numbers` what is in them, `mark_errors` compares
+`report` writes the sections, `_charts` and `_parameters` what is in them, `mark_errors` compares
 reconstructed marks with the known ones. Page style and charts come from `drawing`.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The images of the calibration report, one function each."""
+"""The charts of the calibration report, one function each."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import DISPARITY_SIGMA_PX, CalibrationResult
 from binocular_recon.camera import FloatArray
 from binocular_recon.drawing.svg import FAINT, INK, Chart, shade
+from binocular_recon.number_text import plain, significant
 
 # The three methods, with the colours they have throughout the report.
+UNCORRECTED = '#c8553d'
 METHODS = {'planar': '#9aa7b4', 'corrected': '#e0a13a', 'adjusted': '#0b7a75'}
+DISTANCE = 'distance, m'
 # Columns and rows of the map of the depth sigma.
 _MAP = 24, 15
 # Bars of the chart of marks by distance.
@@ -46,7 +49,7 @@ def board_errors(result: CalibrationResult) -> str:
 def row_differences(result: CalibrationResult) -> str:
     """Draw the row differences of all marks before and after correction (Table 1)."""
     groups = (
-        (result.planar.row_difference_px, '#c8553d'),
+        (result.planar.row_difference_px, UNCORRECTED),
         (result.corrected.row_difference_px, METHODS['corrected']),
         (result.adjusted.row_difference_px, METHODS['adjusted']),
     )
@@ -54,7 +57,7 @@ def row_differences(result: CalibrationResult) -> str:
     extent = np.nanmax(np.abs(result.planar.row_difference_px))
     extent = 1.1 * max(extent, np.nanmax(np.abs(result.corrected.row_difference_px)))
     chart = Chart(
-        _limits(distance), (-extent, extent), labels=('distance, m', 'left row - right row, px')
+        _limits(distance), (-extent, extent), labels=(DISTANCE, 'left row - right row, px')
     )
     for rows, color in groups:
         chart.dots(np.column_stack([distance.ravel(), rows.ravel()]), color, 2)
@@ -70,7 +73,7 @@ def known_heights(result: CalibrationResult) -> str:
         np.nanquantile(np.abs(values), 0.995) for values in errors.values() if values.size
     )
     chart = Chart(
-        _limits(distance), (-extent, extent), labels=('distance, m', 'error along the rod, mm')
+        _limits(distance), (-extent, extent), labels=(DISTANCE, 'error along the rod, mm')
     )
     for shift, (name, color) in enumerate(METHODS.items()):
         beside = distance + (shift - 1) * 0.004 * np.ptp(distance)
@@ -80,7 +83,7 @@ def known_heights(result: CalibrationResult) -> str:
 
 
 def heights_of_marks(result: CalibrationResult) -> str:
-    """Draw what each mark of a rod is off on average, against its known height (Fig. 10)."""
+    """Draw the mean error of each mark of a rod against its known height (Fig. 10)."""
     target = result.estimate.problem.target
     means, spreads = {}, {}
     for name in METHODS:
@@ -112,12 +115,16 @@ def depth_coverage(result: CalibrationResult) -> str:
     chart = Chart(
         (float(edges[0]), float(edges[-1])),
         (0, 1.08 * float(counts.max())),
-        labels=('distance, m', 'marks'),
+        labels=(DISTANCE, 'marks'),
     )
     gap = 0.04 * (edges[1] - edges[0])
     for count, low, high in zip(counts, edges, edges[1:], strict=False):
         corners = np.array([[low + gap, 0], [high - gap, count]])
-        chart.box(corners, METHODS['adjusted'], f'{count} marks at {low:.3g} to {high:.3g} m')
+        chart.box(
+            corners,
+            METHODS['adjusted'],
+            f'{count} marks at {significant(low)} to {significant(high)} m',
+        )
     return chart.svg('Marks at each distance')
 
 
@@ -126,7 +133,7 @@ def plan(result: CalibrationResult) -> str:
     marks = result.marks_m
     far, wide = 1.08 * marks[..., 2].max(), 1.1 * np.abs(marks[..., 0]).max()
     wide = max(wide, 0.4 * far)
-    chart = Chart((-wide, wide), (-0.03 * far, far), (480, 420), ('x, m', 'distance, m'))
+    chart = Chart((-wide, wide), (-0.03 * far, far), (480, 420), ('x, m', DISTANCE))
     width = result.calibration.image_size[0]
     for side, color in (('left', METHODS['planar']), ('right', METHODS['corrected'])):
         K, _, R, T = result.calibration.side(side)
@@ -148,8 +155,7 @@ def plan(result: CalibrationResult) -> str:
 def coverage(result: CalibrationResult, side: str) -> str:
     """Draw the marks in one image, dark = far."""
     chart = _image_chart(result)
-    uv = slice(0, 2) if side == 'left' else slice(2, 4)
-    pixels = result.estimate.problem.observed_px[..., uv]
+    pixels = of_side(result.estimate.problem.observed_px, side)
     depth = result.marks_m[..., 2]
     near, span = depth.min(), max(np.ptp(depth), 1e-9)
     bands = 6
@@ -160,18 +166,17 @@ def coverage(result: CalibrationResult, side: str) -> str:
 
 
 def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:
-    """Draw the residuals of one image, magnified; returns the image and the factor."""
+    """Draw the residuals of one image, magnified; returns the chart and the factor."""
     chart = _image_chart(result)
-    uv = slice(0, 2) if side == 'left' else slice(2, 4)
-    pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
-    residuals = result.adjusted.residuals_px[..., uv].reshape(-1, 2)
+    pixels = of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
+    residuals = of_side(result.adjusted.residuals_px, side).reshape(-1, 2)
     seen = np.isfinite(residuals).all(axis=1)
     typical = np.sqrt(np.mean(residuals[seen] ** 2))
     factor = float(10 ** np.round(np.log10(0.02 * result.calibration.image_size[0] / typical)))
     starts = pixels[seen]
-    chart.strokes(starts, starts + factor * residuals[seen], '#c8553d')
+    chart.strokes(starts, starts + factor * residuals[seen], UNCORRECTED)
     chart.dots(starts, INK, 1.2, 0.8)
-    return chart.svg(f'Residuals in the {side} image, {factor:g} times enlarged'), factor
+    return chart.svg(f'Residuals in the {side} image, {plain(factor)} times enlarged'), factor
 
 
 def depth_sigma(result: CalibrationResult) -> str:
@@ -185,11 +190,9 @@ def depth_sigma(result: CalibrationResult) -> str:
         result.rig.focal_px, result.rig.baseline_m, distances, DISPARITY_SIGMA_PX
     )
     total = np.hypot(own, noise)
-    chart = Chart(
-        (0, 1.5 * far), (0, 1.05 * total.max()), labels=('distance, m', 'depth sigma, mm')
-    )
+    chart = Chart((0, 1.5 * far), (0, 1.05 * total.max()), labels=(DISTANCE, 'depth sigma, mm'))
     top = 1.05 * total.max()
-    chart.area(np.array([[near, 0], [far, 0], [far, top], [near, top]]), '#0b7a75', 0.07)
+    chart.area(np.array([[near, 0], [far, 0], [far, top], [near, top]]), METHODS['adjusted'], 0.07)
     chart.text(((near + far) / 2, 0.95 * top), 'boards', FAINT)
     chart.line(np.column_stack([distances, noise]), METHODS['corrected'], 2, '5 4')
     chart.line(np.column_stack([distances, own]), METHODS['planar'], 2, '2 3')
@@ -198,7 +201,7 @@ def depth_sigma(result: CalibrationResult) -> str:
 
 
 def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, float, float]:
-    """Draw the calibration's depth sigma over the left image; returns it with its range, m."""
+    """Draw the calibration's depth sigma over the left image; returns chart and range, m."""
     chart = _image_chart(result)
     width, height = result.calibration.image_size
     columns, rows = (
@@ -222,11 +225,16 @@ def depth_sigma_map(result: CalibrationResult, depth_m: float) -> tuple[str, flo
             color = shade((sigma - low) / max(high - low, 1e-12))
             chart.box(corners, color, f'{1e3 * sigma:.1f} mm')
     chart.frame()
-    return chart.svg(f'Depth sigma at {depth_m:g} m over the left image'), low, high
+    return chart.svg(f'Depth sigma at {plain(depth_m)} m over the left image'), low, high
+
+
+def of_side(marks_px: FloatArray, side: str) -> FloatArray:
+    """Return the columns (..., 2) of ``'left'`` or ``'right'`` of marks (..., 4)."""
+    return marks_px[..., :2] if side == 'left' else marks_px[..., 2:]
 
 
 def _image_chart(result: CalibrationResult) -> Chart:
-    """Return an empty image with the image's proportions, rows downwards."""
+    """Return an empty chart with the proportions of the image, rows downwards."""
     width, height = result.calibration.image_size
     # the drawing area is 456 px wide: 18 and 16 px of it are margins
     chart = Chart((0, width - 1), (height - 1, 0), (474, round(16 + 456 * height / width)))

@@ -7,14 +7,15 @@ import numpy as np
 
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 
 def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
     """Return how far reconstructed marks are from their known places.
 
-    On rods: along the rod, after the rod's marks have been laid over their known heights. On a
-    target of points: away from the board's middle, after the board has been laid over the known
-    points. Only the shape is compared, so a calibration's own frame does not matter.
+    On rods: along the rod, after its marks have been aligned with their known heights. On a target
+    of points: away from the board's middle, after the board has been aligned with the known
+    points. Only the shape is compared, so the frame of the calibration does not matter.
 
     Parameters
     ----------
@@ -40,12 +41,10 @@ def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
 
 
 def _rod_errors(marks: FloatArray, heights: FloatArray) -> FloatArray:
+    seen, known, centred = _centred(marks, heights)
     errors = np.full(len(marks), np.nan)
-    seen = np.isfinite(marks).all(axis=-1)
-    if seen.sum() < 2:
+    if len(known) < 2:
         return errors
-    known = heights[seen] - heights[seen].mean()
-    centred = marks[seen] - marks[seen].mean(axis=0)
     direction = known @ centred
     direction /= np.linalg.norm(direction)
     errors[seen] = np.sign(known) * (centred @ direction - known)
@@ -53,14 +52,20 @@ def _rod_errors(marks: FloatArray, heights: FloatArray) -> FloatArray:
 
 
 def _point_errors(marks: FloatArray, points: FloatArray) -> FloatArray:
+    seen, known, centred = _centred(marks, points)
     errors = np.full(len(marks), np.nan)
-    seen = np.isfinite(marks).all(axis=-1)
-    if seen.sum() < 4:
+    if len(known) < 4:
         return errors
-    known = points[seen] - points[seen].mean(axis=0)
-    centred = marks[seen] - marks[seen].mean(axis=0)
     u, _, vt = np.linalg.svd(centred.T @ known)
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     distances = np.maximum(np.linalg.norm(known, axis=1), 1e-9)
     errors[seen] = np.sum((centred @ turn - known) * known, axis=1) / distances
     return errors
+
+
+def _centred(marks: FloatArray, places: FloatArray) -> tuple[Mask, FloatArray, FloatArray]:
+    """Return which marks were seen, and their places and themselves about their means."""
+    seen: Mask = np.all(np.isfinite(marks), axis=-1)
+    if not seen.any():
+        return seen, places[seen], marks[seen]
+    return seen, places[seen] - places[seen].mean(axis=0), marks[seen] - marks[seen].mean(axis=0)

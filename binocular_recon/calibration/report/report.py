@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from binocular_recon.calibration.report import _charts as charts
-from binocular_recon.calibration.report._charts import METHODS
-from binocular_recon.calibration.report._numbers import numbers
+from binocular_recon.calibration.report._charts import METHODS, UNCORRECTED
+from binocular_recon.calibration.report._parameters import parameters
 from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import (
     DISPARITY_SIGMA_PX,
@@ -19,11 +19,11 @@ from binocular_recon.calibration.result import (
     row_statistics,
 )
 from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
+from binocular_recon.number_text import plain, significant
 
-_UNCORRECTED = '#c8553d'
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
-# Fields of a image whose coverage is counted.
+# Columns and rows of the grid over an image whose coverage is counted.
 _FIELDS = 8, 5
 
 
@@ -51,7 +51,7 @@ def render_report(result: CalibrationResult, images: Sequence[BoardImage] = ()) 
         _residuals(result),
         _next_boards(result),
         _images(images),
-        numbers(result),
+        parameters(result),
     )
     return page('Stereo calibration', sections, 'Uncertainties are one standard deviation.')
 
@@ -63,16 +63,22 @@ def _summary(result: CalibrationResult) -> str:
     width, height = calibration.image_size
     noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
     cards = (
-        (f'{1e3 * result.depth_sigma_m(depth):.3g} mm', f'depth sigma at {depth:g} m'),
+        (
+            f'{significant(1e3 * result.depth_sigma_m(depth))} mm',
+            f'depth sigma at {plain(depth)} m',
+        ),
         (
             f'{1e3 * calibration.baseline_m:.2f} mm',
-            f'baseline, ± {1e3 * sigma["baseline_m"]:.2g} mm',
+            f'baseline, ± {significant(1e3 * sigma["baseline_m"], 2)} mm',
         ),
         (
             f'{calibration.K_left[0, 0]:.0f} / {calibration.K_right[0, 0]:.0f} px',
-            f'focal length left / right, ± {sigma["fx_left_px"]:.2g} px',
+            f'focal length left / right, ± {significant(sigma["fx_left_px"], 2)} px',
         ),
-        (f'{result.adjusted.error_px:.3f} px', f'reprojection error; marks scatter {noise:.3f}'),
+        (
+            f'{result.adjusted.error_px:.3f} px',
+            f'reprojection error; noise of a mark {noise:.3f} px',
+        ),
         (
             f'{len(result.names)}',
             f'boards used, {marks} marks in both images, {width}x{height} px',
@@ -89,7 +95,9 @@ def _notes(result: CalibrationResult) -> str:
         for board in result.rejected
     ]
     if count := int(result.estimate.outliers.sum()):
-        notes.append(f'{count} single marks were left out, beyond what their noise allows.')
+        notes.append(
+            f'{count} single marks were left out: they are off by more than noise allows.'
+        )
     if not notes:
         return '<p class="good">Every board and every mark was used.</p>'
     return f'<ul class="notes">{"".join(f"<li>{note}</li>" for note in notes)}</ul>'
@@ -101,9 +109,9 @@ def _depth(result: CalibrationResult) -> str:
     rows = []
     for z in np.linspace(0.5, 1.5, _DEPTH_ROWS) * depth:
         sigmas = (1e3 * result.depth_sigma_m(z, noise) for noise in (0.0, DISPARITY_SIGMA_PX))
-        rows.append((f'{z:.3g} m', *(f'{sigma:.3g} mm' for sigma in sigmas)))
+        rows.append((f'{significant(z)} m', *(f'{significant(sigma)} mm' for sigma in sigmas)))
     return section(
-        'How well depth will be known',
+        'Expected accuracy of depth',
         f'One standard deviation over the middle half of the images, from the covariance of the'
         f' calibration and {DISPARITY_SIGMA_PX:g} px of disparity noise.',
         figure(
@@ -116,8 +124,8 @@ def _depth(result: CalibrationResult) -> str:
         ),
         figure(
             image,
-            f"The calibration's own share at {depth:g} m over the left image:"
-            f' {1e3 * low:.3g} mm (light) to {1e3 * high:.3g} mm (dark).',
+            f'Share of the calibration alone at {plain(depth)} m, over the left image:'
+            f' {significant(1e3 * low)} mm (light) to {significant(1e3 * high)} mm (dark).',
         ),
         table(('distance', 'calibration alone', 'with disparity noise'), rows),
     )
@@ -137,10 +145,10 @@ def _methods(result: CalibrationResult) -> str:
     rows.append(('average', *(f'{mean:.3f}' for mean in means), _change(means[2], means[0])))
     return section(
         'Three methods on the same marks: reprojection error',
-        'Planar: every rod taken as exactly placed (Zhang). Corrected: calibrated again after'
-        ' polar-line correction. Adjusted: both cameras and every rod estimated together; this is'
-        ' the calibration that was saved. Root mean square per image axis in the original'
-        ' images, so that a perfect calibration shows the noise of the marks.',
+        'Planar: every rod is taken as exactly placed (Zhang). Corrected: calibrated again after'
+        ' epipolar correction. Adjusted: both cameras and every rod are estimated together; this'
+        ' is the calibration that was saved. Errors are root mean squares per image axis in the'
+        ' original images; those of a perfect calibration are the noise of the marks.',
         figure(charts.board_errors(result), legend(*METHODS.items()), kind='wide'),
         table(
             ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
@@ -166,7 +174,7 @@ def _rows(result: CalibrationResult) -> str:
         figure(
             charts.row_differences(result),
             legend(
-                ('uncorrected', _UNCORRECTED),
+                ('uncorrected', UNCORRECTED),
                 ('corrected', METHODS['corrected']),
                 ('adjusted', METHODS['adjusted']),
             ),
@@ -195,12 +203,12 @@ def _heights(result: CalibrationResult) -> str:
             )
         )
     what = (
-        'Marks reconstructed from both images, laid over the known heights of their rod'
+        'Marks reconstructed from both images, against the known heights on their rod'
         if target.has_rods
-        else 'Points reconstructed from both images, laid over the known target'
+        else 'Points reconstructed from both images, against the known target'
     )
     return section(
-        'Reconstructed marks against what is known',
+        'Reconstructed marks against their known places',
         f'{what}. The plan shows where the boards stood and what both cameras see.',
         figure(charts.plan(result), 'Boards from above.'),
         *known,
@@ -212,17 +220,15 @@ def _coverage(result: CalibrationResult) -> str:
     depth = result.marks_m[..., 2]
     figures = []
     for side in ('left', 'right'):
-        share = 100 * _covered(result, side)
-        figures.append(
-            figure(
-                charts.coverage(result, side),
-                f'{side.capitalize()} image: marks in {share:.0f} % of its fields; dark = far.',
-            )
+        share, fields = 100 * _covered(result, side), '{} x {}'.format(*_FIELDS)
+        caption = (
+            f'{side.capitalize()} image: marks in {share:.0f} % of {fields} fields; dark = far.'
         )
+        figures.append(figure(charts.coverage(result, side), caption))
     return section(
         'Coverage',
-        f'Distortion and depth are known where marks were seen: {depth.min():.3g} to'
-        f' {depth.max():.3g} m.',
+        f'Distortion and depth are known only where marks were seen: {significant(depth.min())}'
+        f' to {significant(depth.max())} m.',
         *figures,
         figure(charts.depth_coverage(result), 'Marks seen by both cameras at each distance.'),
     )
@@ -232,11 +238,12 @@ def _residuals(result: CalibrationResult) -> str:
     figures = []
     for side in ('left', 'right'):
         image, factor = charts.residual_vectors(result, side)
-        figures.append(figure(image, f'{side.capitalize()} image, {factor:g} times enlarged.'))
+        figures.append(
+            figure(image, f'{side.capitalize()} image, {plain(factor)} times enlarged.')
+        )
     return section(
         'Residuals after adjustment',
-        'Arrows in all directions are noise; a pattern would mean distortion that the model does'
-        ' not have.',
+        'Arrows in all directions are noise; a pattern would be distortion that the model lacks.',
         *figures,
     )
 
@@ -247,8 +254,8 @@ def _next_boards(result: CalibrationResult) -> str:
     items = ''.join(f'<li>{escape(str(advice))}</li>' for advice in result.advice)
     return section(
         'What to capture next',
-        'Of all places in view, these boards would lower the depth sigma most, each given those'
-        ' before it.',
+        'Of all places in view, boards here would lower the depth sigma most; each one assumes'
+        ' that those before it have been captured.',
         f'<ol class="advice">{items}</ol>',
     )
 
@@ -270,9 +277,8 @@ def _images(images: Sequence[BoardImage]) -> str:
 
 
 def _covered(result: CalibrationResult, side: str) -> float:
-    """Return the share of the fields of a image that hold a mark."""
-    uv = slice(0, 2) if side == 'left' else slice(2, 4)
-    pixels = result.estimate.problem.observed_px[..., uv].reshape(-1, 2)
+    """Return the share of the fields of an image that hold a mark."""
+    pixels = charts.of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     width, height = result.calibration.image_size
     columns, rows = (pixels / [width / _FIELDS[0], height / _FIELDS[1]]).astype(int).T

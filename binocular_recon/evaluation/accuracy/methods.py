@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is compared: our presets and OpenCV's matchers, behind one face."""
+"""What is compared: our presets and OpenCV's matchers, behind one interface."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from binocular_recon.drawing import page as page_parts
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.evaluation.accuracy.scoring import SceneResult
-from binocular_recon.evaluation.tables import figure
 from binocular_recon.images import ByteImage, FloatImage, to_bgr8
+from binocular_recon.number_text import fixed
 
 # Upper limits of the error classes, px, and the colour (RGB) of each: blue right, red wrong.
 ERROR_LIMITS_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
@@ -74,9 +74,9 @@ def scene_section(result: SceneResult) -> str:
     for score, estimate in zip(scores.scores, result.estimates, strict=True):
         accuracy = score.everywhere
         caption = (
-            f'<b>{html.escape(score.method)}</b> bad-2.0 {figure(accuracy.bad_percent[1])} %,'
-            f' mean error {figure(accuracy.mean_error_px, 2)} px,'
-            f' density {figure(accuracy.density_percent)} %'
+            f'<b>{html.escape(score.method)}</b> bad-2.0 {fixed(accuracy.bad_percent[1])} %,'
+            f' mean error {fixed(accuracy.mean_error_px, 2)} px,'
+            f' density {fixed(accuracy.density_percent)} %'
         )
         figures.append(_figure(error_map(estimate.disparity_px.ravel()[shown], truth_px), caption))
         if score.ours:
@@ -151,7 +151,7 @@ def _key_to_errors() -> str:
         ('no ground truth', f'rgb{UNKNOWN_COLOUR}'),
     ]
     return page_parts.section(
-        'Maps of the errors',
+        'Error maps',
         'Absolute error of each pixel.',
         f'<div class="wide">{page_parts.legend(*parts)}</div>',
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What changes when the exposure of one camera or the cut of the images changes."""
+"""How results change with the exposure of one camera and with cropping."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from binocular_recon.images import FloatImage
 
 EXPOSURE_GAIN, EXPOSURE_OFFSET = 0.6, 20.0
 CROP_DEPTHS_PX = (0, 4, 8, 16, 32, 64, 128)
-# Share of each side that the crop test cuts off.
+# Share of the image that is cropped on each side.
 _CROP_SHARE = 0.15
 
 
@@ -40,17 +40,17 @@ class ExposureChange:
 
 @dataclass(frozen=True)
 class CropChange:
-    """Change of disparity by cutting the images, at one depth inside the crop.
+    """Change of disparity by cropping the images, at one distance from the border.
 
     Attributes
     ----------
     scene, method : str
         Names.
     depth_px : int
-        Pixels at least so far from the crop's border (from the left one, plus the largest
-        disparity: nearer ones have lost what they match).
+        Least distance of the pixels from the crop's border (on the left plus the largest
+        disparity: nearer pixels have lost what they match).
     largest_px, p99_px : float
-        Largest and 99th percentile of the absolute change; NaN if nothing lies so deep.
+        Largest and 99th percentile of the absolute change; NaN if there is no such pixel.
     appeared_percent : float
         Share of pixels filled in one of the two results only.
 
@@ -86,7 +86,7 @@ def exposure_change(
     scene : TruthScene
         The scene as it is.
     method : Method
-        What is tried.
+        What is measured.
     disparity_px : (H, W) float32, optional
         The method's result on the scene, if it is known already.
 
@@ -108,7 +108,7 @@ def crop_changes(
     scene : TruthScene
         The whole.
     method : Method
-        What is tried.
+        What is measured.
     disparity_px : (H, W) float32, optional
         The method's result on the whole, if it is known already.
 

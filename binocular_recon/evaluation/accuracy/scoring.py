@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run every method on every scene and measure what comes out."""
+"""Run every method on every scene and measure the results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from binocular_recon.evaluation.accuracy.metrics import (
 from binocular_recon.evaluation.accuracy.scenes import TruthScene
 from binocular_recon.evaluation.timing import interleaved
 
-# Rows of a scene on which our methods run before the clock does.
+# Rows of a scene that our methods run on before they are timed.
 _WARM_UP_ROWS = 64
 
 
@@ -97,7 +97,7 @@ class SceneScores:
 
 @dataclass(frozen=True, eq=False)
 class SceneResult:
-    """What all methods made of one scene.
+    """The results of all methods on one scene.
 
     Attributes
     ----------

@@ -12,12 +12,13 @@ import numpy as np
 from binocular_recon.evaluation.accuracy.metrics import Accuracy
 from binocular_recon.evaluation.accuracy.robustness import CropChange, ExposureChange
 from binocular_recon.evaluation.accuracy.scoring import SceneScores, Score
-from binocular_recon.evaluation.tables import figure, markdown_table
+from binocular_recon.evaluation.tables import markdown_table
+from binocular_recon.number_text import fixed
 
 REGIONS = ('everywhere', 'visible', 'occluded')
 # Times are given relative to the first of these that took part.
 TIME_REFERENCES = ('StereoSGBM 5 (3WAY) + WLS', 'StereoSGBM 5 (3WAY)')
-# Fewer pixels in a band of depth say nothing about a scene.
+# Bands of depth with fewer pixels are left out.
 MIN_BAND_PIXELS = 100
 
 
@@ -89,19 +90,19 @@ def _mean_accuracy(scores: Sequence[Score], region: str) -> Accuracy | None:
 def overview(means: Sequence[Mean]) -> str:
     """Return the main table: every method over all pixels with ground truth."""
     header = ['mean over scenes, all pixels', 'bad-1.0 %', 'bad-2.0 %', 'bad-3.0 %']
-    header += ['mean error px', 'of filled px', 'density %', 'time ms', 'relative']
+    header += ['mean error px', 'of filled pixels px', 'density %', 'time ms', 'relative']
     rows = []
     for mean in means:
         everywhere = mean.regions['everywhere']
         rows.append(
             [
                 mean.method,
-                *(figure(bad) for bad in everywhere.bad_percent),
-                figure(everywhere.mean_error_px, 2),
-                figure(everywhere.measured_error_px, 2),
-                figure(everywhere.density_percent),
-                figure(1000 * mean.seconds, 0),
-                figure(mean.relative_time, 2),
+                *(fixed(bad) for bad in everywhere.bad_percent),
+                fixed(everywhere.mean_error_px, 2),
+                fixed(everywhere.measured_error_px, 2),
+                fixed(everywhere.density_percent),
+                fixed(1000 * mean.seconds, 0),
+                fixed(mean.relative_time, 2),
             ]
         )
     return markdown_table(header, rows)
@@ -120,8 +121,8 @@ def visibility(means: Sequence[Mean]) -> str:
         row = [mean.method]
         for region in regions:
             value = mean.regions[region]
-            row += [figure(value.bad_percent[0]), figure(value.bad_percent[1])]
-            row += [figure(value.mean_error_px, 2), figure(value.density_percent)]
+            row += [fixed(value.bad_percent[0]), fixed(value.bad_percent[1])]
+            row += [fixed(value.mean_error_px, 2), fixed(value.density_percent)]
         rows.append(row)
     return markdown_table(header, rows)
 
@@ -132,7 +133,7 @@ def by_scene(scenes: Sequence[SceneScores], threshold: int = 1) -> str:
     rows = [
         [
             score.method,
-            *(figure(scene.scores[i].everywhere.bad_percent[threshold]) for scene in scenes),
+            *(fixed(scene.scores[i].everywhere.bad_percent[threshold]) for scene in scenes),
         ]
         for i, score in enumerate(scenes[0].scores)
     ]
@@ -153,7 +154,7 @@ def depth_by_band(scenes: Sequence[SceneScores]) -> str:
             found = [depth for depth in found if depth.pixels >= MIN_BAND_PIXELS]
             median = np.mean([depth.median_m for depth in found]) if found else math.nan
             p90 = np.mean([depth.p90_m for depth in found]) if found else math.nan
-            row.append(f'{figure(float(median), 3)} / {figure(float(p90), 2)}')
+            row.append(f'{fixed(float(median), 3)} / {fixed(float(p90), 2)}')
         rows.append(row)
     header = ['depth error m, median / 90th percentile']
     return markdown_table([*header, *(f'{near:g}-{far:g} m' for near, far in bands)], rows)
@@ -168,7 +169,7 @@ def sigma_calibration(scenes: Sequence[SceneScores]) -> str:
     rows = [
         [
             scenes[0].scores[i].method,
-            *(figure(scene.scores[i].sigma_rms, 2) for scene in scenes),
+            *(fixed(scene.scores[i].sigma_rms, 2) for scene in scenes),
         ]
         for i in chosen
     ]
@@ -196,15 +197,19 @@ def sigma_by_bin(scenes: Sequence[SceneScores]) -> list[str]:
             kept = pixels * (1 - wrong)
             rows.append(
                 [
-                    f'{edges.low_px:g} - {edges.high_px:g}',
-                    figure(100 * pixels.sum() / total),
-                    figure(_pooled_rms([one.predicted_px for one in bins], kept), 3),
-                    figure(_pooled_rms([one.measured_px for one in bins], kept), 3),
-                    figure(100 * float((pixels * wrong).sum() / pixels.sum())),
+                    _range(edges.low_px, edges.high_px),
+                    fixed(100 * pixels.sum() / total),
+                    fixed(_pooled_rms([one.predicted_px for one in bins], kept), 3),
+                    fixed(_pooled_rms([one.measured_px for one in bins], kept), 3),
+                    fixed(100 * float((pixels * wrong).sum() / pixels.sum())),
                 ]
             )
         tables.append(markdown_table(header, rows))
     return tables
+
+
+def _range(low: float, high: float) -> str:
+    return f'{low:g} - {high:g}' if math.isfinite(high) else f'{low:g} or more'
 
 
 def _pooled_rms(values: Sequence[float], weights: object) -> float:
@@ -215,7 +220,7 @@ def _pooled_rms(values: Sequence[float], weights: object) -> float:
 
 
 def exposure_table(changes: Sequence[ExposureChange]) -> str:
-    """Return how bad-2.0 changes when the right image is made darker; empty if not tried."""
+    """Return how bad-2.0 changes when the right image is darker; empty if not measured."""
     names = list(dict.fromkeys(change.method for change in changes))
     rows = []
     for name in names:
@@ -227,16 +232,16 @@ def exposure_table(changes: Sequence[ExposureChange]) -> str:
         rows.append(
             [
                 name,
-                *(figure(float(x)) for x in (before.mean(), after.mean())),
+                *(fixed(float(x)) for x in (before.mean(), after.mean())),
                 *(f'{x:+.1f}' for x in ((after - before).mean(), (after - before).max())),
             ]
         )
-    header = ['other exposure', 'bad-2.0 %', 'darker right', 'change', 'worst scene']
+    header = ['right image darker', 'bad-2.0 % before', 'after', 'change', 'worst scene']
     return markdown_table(header, rows) if rows else ''
 
 
 def crop_table(changes: Sequence[CropChange]) -> str:
-    """Return the largest change of disparity by cutting the images; empty if not tried."""
+    """Return the largest change of disparity by cropping; empty if not measured."""
     depths = sorted({change.depth_px for change in changes})
     rows = []
     for name in dict.fromkeys(change.method for change in changes):
@@ -246,10 +251,10 @@ def crop_table(changes: Sequence[CropChange]) -> str:
             largest = float(np.nanmax([c.largest_px for c in found]))
             p99 = float(np.nanmean([c.p99_px for c in found]))
             appeared = max(c.appeared_percent for c in found)
-            row.append(f'{figure(largest, 3)} / {figure(p99, 3)} / {figure(appeared)}')
+            row.append(f'{fixed(largest, 3)} / {fixed(p99, 3)} / {fixed(appeared)}')
         rows.append(row)
     header = [
-        'change by cropping: largest px / 99 % of pixels px / validity %',
+        'effect of cropping: max px / p99 px / changed fill %',
         *(f'{depth} px inside' for depth in depths),
     ]
     return markdown_table(header, rows) if rows else ''

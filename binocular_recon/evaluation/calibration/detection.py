@@ -17,7 +17,7 @@ from binocular_recon.simulation.capture import SimulatedCapture
 
 @dataclass(frozen=True, eq=False)
 class BoardScore:
-    """What became of one capture.
+    """How well the rods of one capture were detected.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def summarise_scores(scores: list[BoardScore]) -> dict[str, Any]:
         'marks_measured': len(errors),
         'wrong_identities': sum(score.wrong for score in scores),
         'rms_px': {'x': float(rms[0]), 'y': float(rms[1])},
-        'seconds_per_picture': {
+        'seconds_per_image': {
             'median': float(np.median(seconds)),
             'p90': float(np.percentile(seconds, 90)),
         },

@@ -19,7 +19,7 @@ def calibrate_in_two_steps(
     """Calibrate each camera by itself, then the pose between them with the cameras held fixed.
 
     ``cv2.calibrateCamera`` with k1 k2 p1 p2, then ``cv2.stereoCalibrate`` with
-    ``CALIB_FIX_INTRINSIC``. What errs in one camera cannot be mended by the other one.
+    ``CALIB_FIX_INTRINSIC``. An error of one camera is not corrected by the other one.
 
     Parameters
     ----------

@@ -20,9 +20,8 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import (
     normal_equations,
 )
 from binocular_recon.calibration.adjustment.linearisation import State, predict
-from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS
 from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m
-from binocular_recon.calibration.model import StereoCalibration
+from binocular_recon.calibration.model import DEFAULT_LENS, StereoCalibration
 from binocular_recon.calibration.rectification.epipolar import free_pair
 from binocular_recon.calibration.rectification.metric_rectification import (
     correction_of,
@@ -36,6 +35,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.evaluation.calibration.opencv_calibration import calibrate_in_two_steps
+from binocular_recon.lenses.registry import LENSES
 from binocular_recon.simulation.rig import TABLE_1_PITCH_RAD, RawRig, survey_rig
 from binocular_recon.simulation.rods import (
     FACING_CAMERA,
@@ -157,7 +157,7 @@ def check_rows(
 def self_check(
     sets: int, draws: int, report: Callable[[str], None]
 ) -> dict[str, list[dict[str, object]]]:
-    """Run both checks, tell each row in words, and return all rows."""
+    """Run both checks, report each row, and return all rows."""
     accuracy, rows = [], []
     report(
         'depth at 15 m, mean |error|: OpenCV in two steps, planar, adjusted, bound; error / bound'
@@ -209,7 +209,7 @@ def bound_m(rig: RawRig, placed: list[PlacedBoard], noise_px: float) -> FloatArr
         np.array([board.translation_xyz for board in placed]),
         np.zeros((len(placed), target.shape[0], 5)),
     )
-    free = free_parameters(DEFAULT_COEFFICIENTS['plumb_bob'])
+    free = free_parameters(LENSES[DEFAULT_LENS].DEFAULT_COEFFICIENTS)
     problem = Problem(target, predict(state, target), free, np.full(2, noise_px))
     information = normal_equations(problem, state).board_information().sum(axis=0)
     sigma = depth_sigma_m(truth, free, np.linalg.inv(information), _points().reshape(-1, 3))

@@ -8,11 +8,12 @@ import numpy as np
 
 from binocular_recon.drawing.clouds import CloudView, draw_cloud
 from binocular_recon.drawing.colormap import heat_map
+from binocular_recon.drawing.labels import write_label
 from binocular_recon.evaluation.paper.runs import CROP_M, PaperRun, Survey
 from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
 from binocular_recon.images import ByteImage, to_bgr8
 
-LINE_BGR, TEXT_BGR = (60, 230, 255), (255, 255, 255)
+LINE_BGR = (60, 230, 255)
 # Left, right, above and below the things, as a share of the width of the picks' box.
 MARGIN = 0.12
 WIDTH_PX = 900
@@ -42,10 +43,8 @@ def draw_sizes(survey: Survey, run: PaperRun) -> ByteImage:
         for end in (first, last):
             cv2.drawMarker(photo, end.tolist(), LINE_BGR, cv2.MARKER_CROSS, 11, 1, cv2.LINE_AA)
         text = f'{1e3 * true[name] + run.errors_mm[name][0]:.1f} mm'
-        place = np.minimum(first, last) - [0, 12]
-        for offset, color in ((1, (0, 0, 0)), (0, TEXT_BGR)):
-            at = (place + offset).tolist()
-            cv2.putText(photo, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
+        column, row = np.minimum(first, last).tolist()
+        write_label(photo, text, (column, row - 12), 0.5)
     disparity = survey.reconstruction.filtered.disparity_px[window]
     return np.vstack([photo, _enlarged(heat_map(disparity), scale)])
 

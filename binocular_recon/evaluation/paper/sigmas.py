@@ -19,9 +19,10 @@ from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.paper.runs import simulated_marks
 from binocular_recon.evaluation.paper.site import Site, simulate_site
-from binocular_recon.evaluation.tables import figure, markdown_table
+from binocular_recon.evaluation.tables import markdown_table
 from binocular_recon.images import Mask
 from binocular_recon.measurement.lengths import length_between
+from binocular_recon.number_text import fixed
 from binocular_recon.simulation.rig import RawRig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from binocular_recon.simulation.scene import trace_scene
@@ -244,16 +245,16 @@ def report(sites: Sequence[SiteSigmas]) -> str:
                 (
                     f'points at {depth:g} m',
                     str(len(found)),
-                    *(figure(ratio, 2) for ratio in ratios),
-                    figure(float(np.mean([near.sigma_mm for near in found])), 0),
-                    figure(100 * float(np.mean([near.beyond for near in found])), 2),
+                    *(fixed(ratio, 2) for ratio in ratios),
+                    fixed(float(np.mean([near.sigma_mm for near in found])), 0),
+                    fixed(100 * float(np.mean([near.beyond for near in found])), 2),
                 )
             )
     ratio, beyond, sigma_mm = length_figures(sites)
     lengths = str(sum(len(site.length_errors_mm) for site in sites))
     rows.append(
-        (f'{lengths} lengths', str(len(sites)), '', '', figure(ratio, 2), figure(sigma_mm, 0),
-         figure(100 * beyond, 2))
+        (f'{lengths} lengths', str(len(sites)), '', '', fixed(ratio, 2), fixed(sigma_mm, 0),
+         fixed(100 * beyond, 2))
     )  # fmt: skip
     shares = [site.well_matched for site in sites]
     return (

@@ -10,7 +10,8 @@ import numpy as np
 from binocular_recon.evaluation.paper.runs import MARK_NOISE_PX, PaperRun
 from binocular_recon.evaluation.paper.site import PICK_NOISE_PX
 from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
-from binocular_recon.evaluation.tables import figure, markdown_table
+from binocular_recon.evaluation.tables import markdown_table
+from binocular_recon.number_text import fixed
 
 # Table 1: uncorrected left and right row, corrected left and right row of six points, px.
 PAPER_ROWS = (
@@ -42,24 +43,25 @@ def report(runs: Sequence[PaperRun]) -> str:
     )
     shown = nearest_to_paper(runs)
     rendered = len({run.seed for run in runs if run.rendered})
-    words_1 = (
+    text_1 = (
         'Table 1: rows of the marks of one rod on a board that was not used to calibrate'
-        f' ({_placement(shown.placement_m)}; site {shown.seed}, whose rows differ most nearly as'
-        " the paper's). Mean difference of the marks of all sites' boards that were not used, px:"
+        f' ({_placement(shown.placement_m)}; site {shown.seed}, whose row differences are closest'
+        " to the paper's). Mean difference of the marks on all sites' boards that were not used,"
+        ' px:'
         f' {rows}.'
     )
-    words_2 = (
+    text_2 = (
         'Table 2: reprojection error in the original images,'
         f' {len(first[0].boards_px)} boards of one site, {_marks(first[0])}.{_other_sites(runs)}'
     )
-    words_3 = (
+    text_3 = (
         f'Table 3: sizes at 10-20 m, {len({run.seed for run in runs})} sites,'
         f' {len(runs[0].errors_mm[BICYCLE])} picks of each end point with {PICK_NOISE_PX:g} px of'
-        f' noise per axis; rods of {rendered} sites detected in images. Picking alone: the same'
-        ' picks with perfect calibration and depth.'
+        f' noise per axis; rods of {rendered} site{"" if rendered == 1 else "s"} detected in'
+        ' images. Picking alone: the same picks with perfect calibration and depth.'
     )
     tables = (table_1(shown), table_2(first), table_3(runs))
-    pairs = zip((words_1, words_2, words_3), tables, strict=True)
+    pairs = zip((text_1, text_2, text_3), tables, strict=True)
     return '\n\n'.join(part for pair in pairs for part in pair)
 
 
@@ -69,7 +71,7 @@ def table_1(run: PaperRun) -> str:
     header += ['ours: left', 'right', 'corrected left', 'right', 'adjusted left', 'right']
     pairs = zip(PAPER_ROWS, run.rows, strict=True)
     rows = [
-        [f'point {i + 1}', *(f'{row}' for row in paper), *(figure(row) for row in ours)]
+        [f'point {i + 1}', *(f'{row}' for row in paper), *(fixed(row) for row in ours)]
         for i, (paper, ours) in enumerate(pairs)
     ]
     rows.append(['mean difference', *_differences(PAPER_ROWS, 1), *_differences(run.rows, 2)])
@@ -90,10 +92,10 @@ def table_2(runs: Sequence[PaperRun]) -> str:
     paper = [[board[i] for board in PAPER_BOARDS] for i in range(2)]
     everything = [*paper, *columns]
     rows = [
-        [f'{i + 1}', *(figure(c[i], 3) if i < len(c) else '' for c in everything)]
+        [f'{i + 1}', *(fixed(c[i], 3) if i < len(c) else '' for c in everything)]
         for i in range(count)
     ]
-    rows.append(['mean', *(figure(float(np.mean(column)), 3) for column in everything)])
+    rows.append(['mean', *(fixed(float(np.mean(column)), 3) for column in everything)])
     return markdown_table(header, rows)
 
 
@@ -108,18 +110,18 @@ def table_3(runs: Sequence[PaperRun]) -> str:
         ours = [mean_error_mm(_of(runs, placement), 'errors_mm', name) for placement in placements]
         floor = mean_error_mm(runs, 'floor_mm', name)
         values = (PAPER_ERRORS_MM[name], *ours, floor)
-        rows.append([NAMES[name], *(figure(value) for value in values)])
+        rows.append([NAMES[name], *(fixed(value) for value in values)])
     means = [mean_of_three_mm(_of(runs, placement), 'errors_mm') for placement in placements]
     paper = float(np.mean(list(PAPER_ERRORS_MM.values())))
     values = (paper, *means, mean_of_three_mm(runs, 'floor_mm'))
-    rows.append(['mean of the three', *(figure(value) for value in values)])
+    rows.append(['mean of the three', *(fixed(value) for value in values)])
     ground = [mean_of_three_mm(_of(runs, p), 'errors_mm', 'on_ground_mm') for p in placements]
-    rows.append(['mean, soles on the ground plane', '', *(figure(value) for value in ground), ''])
+    rows.append(['mean, soles on the ground plane', '', *(fixed(value) for value in ground), ''])
     for key, text in (('on_ground_mm', 'sole on the ground plane'), ('automatic_mm', 'automatic')):
         for name in PEOPLE:
             ours = [mean_error_mm(_of(runs, placement), key, name) for placement in placements]
             label = f'{NAMES[name].split(",")[0]}, {text}'
-            rows.append([label, '', *(figure(value) for value in ours), ''])
+            rows.append([label, '', *(fixed(value) for value in ours), ''])
     return markdown_table(header, rows)
 
 
@@ -138,7 +140,7 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
     for placement in sorted({run.placement_m for run in simulated}):
         boards = [board for run in _of(simulated, placement) for board in run.boards_px]
         values = ' / '.join(
-            figure(float(np.mean([board[f'{stage}_px'] for board in boards])), 3)
+            fixed(float(np.mean([board[f'{stage}_px'] for board in boards])), 3)
             for stage in ('uncorrected', 'corrected', 'adjusted')
         )
         means.append(f'{_placement(placement)}: {values}')
@@ -149,7 +151,7 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
 
 
 def nearest_to_paper(runs: Sequence[PaperRun]) -> PaperRun:
-    """Return the run, rods placed best, whose rows as taken differ most nearly as Table 1."""
+    """Return the run, rods placed best, whose uncorrected rows differ most like Table 1's."""
     paper_px = float(np.mean(np.abs(np.diff(PAPER_ROWS)[:, 0])))
     best_placed = _of(runs, min(run.placement_m for run in runs))
     return min(best_placed, key=lambda run: abs(run.rows_px['uncorrected'] - paper_px))
@@ -186,4 +188,4 @@ def _differences(rows: Sequence[Sequence[float]], digits: int) -> list[str]:
     differences = np.abs(table[:, 0::2] - table[:, 1::2])
     # marks that were not found say nothing
     means = np.ma.masked_invalid(differences).mean(axis=0).filled(np.nan)
-    return [cell for mean in means for cell in ('', figure(float(mean), digits))]
+    return [cell for mean in means for cell in ('', fixed(float(mean), digits))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact solution of eq. 13 by SciPy's direct solver: what our filter is held against."""
+"""The exact solution of eq. 13 by SciPy's direct solver: the reference for our filter."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def solve_direct(equations: Equations) -> npt.NDArray[np.float64]:
 
 
 def compare(bench: Bench, preset: str) -> dict[str, Any]:
-    """Hold a preset's filter against the direct solution of the same equations.
+    """Compare a preset's filter with the direct solution of the same equations.
 
     Returns
     -------

@@ -68,7 +68,7 @@ class Size:
         return self.width * self.height * self.disparity_range
 
     def __str__(self) -> str:
-        """Return it as it is given on the command line."""
+        """Return the size as given on the command line."""
         return f'{self.width}x{self.height}x{self.disparity_range}'
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image pairs made from nothing, with known disparity: what timings and tests run on."""
+"""Synthetic image pairs with known disparity, for timings and tests."""
 
 from __future__ import annotations
 

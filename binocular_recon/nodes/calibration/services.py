@@ -55,7 +55,7 @@ class CalibrationServices:
     names : (str, str)
         Names of the left and the right camera.
     lens : str
-        Lens of both cameras, a key of `calibration.model.COEFFICIENTS`.
+        Lens of both cameras, one of `calibration.model.calibrated_lenses`.
     rig_in_use : StereoRig or None
         Calibration whose row error captures report.
     explain_silence : callable

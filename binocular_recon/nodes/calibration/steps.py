@@ -15,6 +15,7 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
+from binocular_recon.number_text import significant
 from binocular_recon.stereo.rectification import rectified_points
 
 # Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
@@ -118,7 +119,7 @@ def describe_result(result: CalibrationResult) -> str:
     advice = f'; next: {result.advice[0]}' if result.advice else ''
     return (
         f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
-        f' baseline {1e3 * calibration.baseline_m:.1f} +- {1e3 * sigma["baseline_m"]:.2g} mm,'
-        f' depth sigma {depth_mm:.0f} mm at 15 m'
+        f' baseline {1e3 * calibration.baseline_m:.1f} +-'
+        f' {significant(1e3 * sigma["baseline_m"], 2)} mm, depth sigma {depth_mm:.0f} mm at 15 m'
         f'{"; " + left_out if left_out else ""}{advice}'
     )

@@ -4,25 +4,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 
-from binocular_recon.calibration.model import COEFFICIENTS, DEFAULT_LENS
+from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import Options, option
+
+
+def _queue_size(default: int, remark: str = '') -> Any:
+    text = f'Messages kept per input while they wait for the rest of their frame{remark}'
+    return option(default, text, minimum=1, maximum=1000)
 
 
 @dataclass(frozen=True)
 class QueueOptions(Options):
     """How long messages wait for others with a matching stamp."""
 
-    queue_size: int = option(
-        5,
-        'Messages kept per input while they wait for the rest of their frame',
-        minimum=1,
-        maximum=1000,
-    )
+    queue_size: int = _queue_size(5)
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,8 @@ class InputOptions(QueueOptions):
 class LateInputOptions(InputOptions):
     """How a node combines images with data that another node computes from them."""
 
-    queue_size: int = option(
-        60,
-        'Messages kept per input while they wait for the rest of their frame; images wait for'
-        ' their disparities, so it must exceed matching time times frame rate',
-        minimum=1,
-        maximum=1000,
+    queue_size: int = _queue_size(
+        60, '; images wait for their disparities, so it must exceed matching time times frame rate'
     )
 
 
@@ -151,11 +148,7 @@ class RodOptions(Options):
     """Which rods are captured and where the calibration is kept."""
 
     rods: str = option('', 'File rods.yaml that describes the rods')
-    lens: str = option(
-        DEFAULT_LENS,
-        'Lens of both cameras; equidistant is a fisheye lens',
-        choices=tuple(COEFFICIENTS),
-    )
+    lens: str = option(DEFAULT_LENS, lens_text().capitalize(), choices=calibrated_lenses())
     output: str = option('', 'Folder of the calibration; captures are kept in captures/ under it')
     left_camera_name: str = option('left', 'Name of the left camera in its calibration file')
     right_camera_name: str = option('right', 'Name of the right camera in its calibration file')

@@ -19,7 +19,7 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import (
 )
 from binocular_recon.calibration.adjustment.estimation import Fit
 from binocular_recon.calibration.adjustment.linearisation import State, linearise, predict
-from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS, calibrate_planar
+from binocular_recon.calibration.adjustment.planar import calibrate_planar
 from binocular_recon.calibration.screening import observations
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.target import Target
@@ -30,6 +30,7 @@ from binocular_recon.evaluation.calibration.self_check import (
     depth_errors_m,
     simulated_boards,
 )
+from binocular_recon.lenses import LENSES
 from binocular_recon.simulation.rig import survey_rig
 from test.calibration_tools import (
     SIZE,
@@ -42,7 +43,7 @@ from test.calibration_tools import (
     truth,
 )
 
-FREE = free_parameters(DEFAULT_COEFFICIENTS['plumb_bob'])
+FREE = free_parameters(LENSES['plumb_bob'].DEFAULT_COEFFICIENTS)
 POSE = np.array([3.1, 0.1, -0.2, -1.0, 0.9, 7.0])
 
 

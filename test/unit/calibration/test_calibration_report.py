@@ -32,10 +32,10 @@ class Balanced(HTMLParser):
         super().__init__()
         self.open: list[str] = []
         self.references: list[str] = []
-        self.pictures = 0
+        self.charts = 0
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.pictures += tag == 'svg'
+        self.charts += tag == 'svg'
         self.references += [value or '' for name, value in attrs if name in {'src', 'href'}]
         if tag not in {'meta', 'img'}:
             self.open.append(tag)
@@ -54,7 +54,7 @@ def test_report_is_one_complete_page() -> None:
     parser = Balanced()
     parser.feed(page)
     assert not parser.open and not parser.references
-    assert parser.pictures == 12
+    assert parser.charts == 12
     assert 'nan' not in re.sub(r'<style>.*</style>', '', page, flags=re.DOTALL).lower()
     for name in result.names:
         assert f'<td>{name}</td>' in page
@@ -87,18 +87,18 @@ def test_rods_of_two_marks_have_a_report() -> None:
     assert 1e-4 < np.sqrt(np.nanmean(errors**2)) < 0.005
     np.testing.assert_allclose(errors[..., 0], errors[..., 1])
     page = render_report(result)
-    assert 'Reconstructed marks against what is known' in page
+    assert 'Reconstructed marks against their known places' in page
 
 
-def test_report_shows_pictures() -> None:
+def test_report_shows_images() -> None:
     """They are inside the page: nothing is fetched."""
-    pictures = [BoardImage('01', b'first'), BoardImage('<2>', b'', 'a picture is missing')]
-    page = render_report(solved(0.005), pictures)
+    images = [BoardImage('01', b'first'), BoardImage('<2>', b'', 'an image is missing')]
+    page = render_report(solved(0.005), images)
     parser = Balanced()
     parser.feed(page)
     assert not parser.open
     assert parser.references == ['data:image/jpeg;base64,Zmlyc3Q=', 'data:image/jpeg;base64,']
-    assert 'Board &lt;2&gt; was left out: a picture is missing.' in page
+    assert 'Board &lt;2&gt; was left out: an image is missing.' in page
 
 
 def test_chart_places_data() -> None:

@@ -34,7 +34,7 @@ def test_boards_are_numbered_and_a_new_store_goes_on(tmp_path: Path) -> None:
 
 
 def test_board_half_written_before_a_crash_does_not_count(tmp_path: Path) -> None:
-    """A power cut came between the two pictures: nobody was told of the board."""
+    """A power cut came between the two images: nobody was told of the board."""
     store = CaptureStore(tmp_path, BOARD)
     store.add(IMAGE, IMAGE)
     (tmp_path / 'left_001.png').unlink()
@@ -108,7 +108,7 @@ def test_stored_boards_are_read_on_all_cores_once_until_stopped(
     store = CaptureStore(tmp_path, BOARD)
     assert store.usable() and store.usable() and store.captures()
     assert sorted(read) == ['001', '002']
-    # a picture that was missing and comes, is read
+    # an image that was missing and comes, is read
     (tmp_path / 'left_007.png').write_bytes(b'')
     store.usable()
     monkeypatch.setattr(together, 'wait', lambda _: None)

@@ -30,6 +30,7 @@ from binocular_recon.cli.main import main
 from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.calibration.self_check import true_calibration
 from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.lenses import LENSES
 from binocular_recon.simulation.rig import fisheye_rig
 from binocular_recon.stereo.rectification import Rectifier, rectified_points
 from test.calibration_tools import (
@@ -159,17 +160,17 @@ def test_derivatives_are_those_of_central_differences() -> None:
 
 
 def test_the_start_is_near_the_focal_length() -> None:
-    target = Target.from_rods(board_of(0.005))
+    target, lens = Target.from_rods(board_of(0.005)), LENSES['equidistant']
     pixels = observations(fisheye_captures())[..., :2].reshape(14, -1, 2)
     points = target.nominal_m.reshape(-1, 3)
-    K, errors_px = fisheye_guess(points, pixels, SIZE)
+    K, errors_px = fisheye_guess(points, pixels, SIZE, lens)
     assert K[0, 0] == pytest.approx(700, rel=0.08)
     assert np.median(errors_px) < 8
     few = np.where(np.arange(30)[:, None] < 5, pixels[:1], np.nan)
     with pytest.raises(CalibrationError, match='no equidistant camera fits the marks'):
-        fisheye_guess(points, few, SIZE)
+        fisheye_guess(points, few, SIZE, lens)
     with pytest.raises(CalibrationError, match=r'1 of 15 boards have fewer than 6 marks within'):
-        start_fisheye(points, np.concatenate([pixels, few]), SIZE)
+        start_fisheye(points, np.concatenate([pixels, few]), SIZE, lens)
 
 
 def test_model_is_chosen_among_those_of_the_lens() -> None:

@@ -111,7 +111,7 @@ def _check_images(report: str, content: dict[str, Any]) -> None:
 
 def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert calibrate('--points', CHESSBOARD, '--output', tmp_path) == 0
-    assert 'taken to be 640x480' in capsys.readouterr().out
+    assert 'assumed to be 640x480' in capsys.readouterr().out
     content = json.loads((tmp_path / 'calibration.json').read_text())
     assert content['rms_px'] == pytest.approx(0.215, rel=0.02)
     assert content['baseline_m'] == pytest.approx(0.0832, rel=0.02)
@@ -173,7 +173,7 @@ def test_numbers_out_of_range(
     with pytest.raises(SystemExit, match='2'):
         main([*args, '--output', str(tmp_path)])
     error = capsys.readouterr().err
-    assert 'must not be negative' in error or 'greater than 0' in error
+    assert 'must not be negative' in error or 'above 0' in error
 
 
 def test_problems_with_the_input(
@@ -212,7 +212,7 @@ def test_boards_are_found_by_name(tmp_path: Path) -> None:
     assert found == [('a', True, False), ('b', False, False)]
 
 
-def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
+def test_two_images_of_one_side_are_named(tmp_path: Path) -> None:
     for name in ('left_1.png', 'left_1.jpg', 'right_1.png'):
         (tmp_path / name).write_bytes(b'')
     (files,) = find_boards(tmp_path)
@@ -222,7 +222,7 @@ def test_two_pictures_of_one_side_are_named(tmp_path: Path) -> None:
     assert reading.reason == 'there are 2 left images (left_1.jpg, left_1.png); keep one'
 
 
-def test_pictures_of_another_size_are_left_out(tmp_path: Path) -> None:
+def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     for index, rig in enumerate((RIG, RIG, survey_rig(scale=0.4))):
         capture = simulate_capture(BOARD, rig, rng, CaptureOptions(depth_m=(3.0, 6.0)))

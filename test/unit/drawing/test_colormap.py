@@ -15,10 +15,10 @@ def test_none_is_black_and_nothing_else_is() -> None:
 
 
 def test_near_is_red_and_far_is_blue() -> None:
-    picture = heat_map(np.array([[20.0, 60.0, 100.0]], np.float32), (0.0, 120.0)).astype(int)
-    blue, green, red = picture[0].T
+    image = heat_map(np.array([[20.0, 60.0, 100.0]], np.float32), (0.0, 120.0)).astype(int)
+    blue, green, red = image[0].T
     assert blue[0] > red[0]
-    assert green[1] == picture[0].max()
+    assert green[1] == image[0].max()
     assert red[2] > blue[2]
 
 

@@ -54,7 +54,7 @@ def test_every_stage_has_its_peers_first(bench: Bench) -> None:
     assert names['cloud'][0] == 'cv2.reprojectImageTo3D'
 
 
-def test_recorded_pictures_are_those_that_the_chain_reconstructs() -> None:
+def test_recorded_images_are_those_that_the_chain_reconstructs() -> None:
     bench = Bench(Size(320, 240, 32), ['default'])
     chain = Chain(bench.rig, bench.config('default'))
     error = chain(*bench.recorded).filtered.disparity_px - bench.pair.disparity_px

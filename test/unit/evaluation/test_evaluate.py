@@ -40,7 +40,7 @@ def test_synthetic_pair_is_what_it_says(pair: SyntheticPair) -> None:
     x, y = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT, dtype=np.float32))
     seen = cv2.remap(pair.right, x - pair.disparity_px, y, cv2.INTER_LINEAR)
     difference = np.abs(seen.astype(float) - pair.left).mean(axis=2)
-    # both pictures have 1.5 grey levels of noise; the wrong sign or a pixel's shift gives over 15
+    # both images have 1.5 grey levels of noise; the wrong sign or a pixel's shift gives over 15
     assert np.median(difference[pair.visible]) < 4
     assert np.median(difference[~pair.visible]) > 10
     assert 0 <= pair.disparity_px.min() < pair.disparity_px.max() <= RANGE - 1
@@ -133,7 +133,7 @@ def test_command_writes_table_json_and_page(
     assert {entry['method'] for entry in facts['exposure']} == set(names)
     assert {entry['depth_px'] for entry in facts['crop']} >= {0, 4, 8}
     page = (output / 'evaluation.html').read_text(encoding='utf-8')
-    # picture, ground truth, an error map each and a disparity map for each of ours
+    # image, ground truth, an error map each and a disparity map for each of ours
     assert page.count('<img') == page.count('data:image/') == 2 + len(names) + 2
     assert 'http://' not in page and 'https://' not in page
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics on examples computed by hand, on pictures that are not square."""
+"""Metrics on examples computed by hand, on images that are not square."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_visible_from_truth_by_hand() -> None:
     # a bar of disparity 3 at columns 4..5 before a wall of disparity 1
     truth = image([1, 1, 1, 1, 3, 3, 1, 1], [1, 1, NAN, 1, 1, 1, 1, 1])
     # wall pixels land at x - 1, bar pixels at 1 and 2, where wall pixels 2 and 3 land too;
-    # column 0 leaves the right picture
+    # column 0 leaves the right image
     expected = [
         [False, True, False, False, True, True, True, True],
         [False, True, False, True, True, True, True, True],

@@ -27,7 +27,7 @@ from binocular_recon.simulation.rods import paper_board
 
 @pytest.fixture(scope='module')
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """One site in pictures of half the size: twice the millimetres per pixel."""
+    """One site in images of half the size: twice the millimetres per pixel."""
     folder = tmp_path_factory.mktemp('paper')
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command, 'survey_rig', lambda pitch_rad: survey_rig(0.5, pitch_rad))
@@ -81,8 +81,8 @@ def test_tables_stand_beside_the_papers(finished: tuple[Path, dict[str, Any]]) -
     row = next(line for line in text.splitlines() if line.startswith('| bicycle'))
     assert f' {mean:.1f} |' in row
     for name in ('sizes.jpg', 'crop.jpg'):
-        picture = read_image_file(folder / name)
-        assert picture.shape[1] == 900 and picture.std() > 20
+        image = read_image_file(folder / name)
+        assert image.shape[1] == 900 and image.std() > 20
 
 
 def test_detected_rods_are_where_they_were_rendered() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The survey scene: sizes, end points and truth that agree with each other and the pictures."""
+"""The survey scene: sizes, end points and truth that agree with each other and the images."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_people_and_bicycle_have_their_sizes() -> None:
         assert min(depth) > 9.0 and max(depth) < 21.0
 
 
-def test_end_points_are_in_both_pictures_and_on_their_owner() -> None:
+def test_end_points_are_in_both_images_and_on_their_owner() -> None:
     """The ray to an end point meets the thing itself within 15 cm, at the point or next to it."""
     rig = survey_rig()
     left, right = rig.views()
@@ -58,7 +58,7 @@ def test_end_points_are_in_both_pictures_and_on_their_owner() -> None:
 
 
 def test_depth_and_disparity_agree_with_the_projection() -> None:
-    """Points traced from the left picture, projected to the right: x differs by the disparity."""
+    """Points traced from the left image, projected to the right: x differs by the disparity."""
     scene = build_scene(np.random.default_rng(1))
     rig = RIG.stereo_rig()
     view = rectified_view(rig)
@@ -89,7 +89,7 @@ def test_ground_is_a_plane_below_the_rig() -> None:
     np.testing.assert_allclose(points @ -scene.up_xyz, 1.5, atol=1e-6)
 
 
-def test_pictures_are_textured_and_the_same_in_both_cameras() -> None:
+def test_images_are_textured_and_the_same_in_both_cameras() -> None:
     scene = build_scene(np.random.default_rng(3))
     rng = np.random.default_rng(0)
     quiet = Sensor(noise=0.0)
@@ -98,7 +98,7 @@ def test_pictures_are_textured_and_the_same_in_both_cameras() -> None:
     depth, label = trace_scene(scene, views[0])
     wall = np.isin(label, [i for i, owner in enumerate(scene.owners) if owner == 'wall'])
     assert left[wall].std() > 8.0
-    # the wall's texture, looked up in the right picture through the true geometry
+    # the wall's texture, looked up in the right image through the true geometry
     y, x = np.nonzero(wall & (np.arange(label.shape[1]) > 150))
     points = views[0].rays(np.stack([x, y], -1).astype(float)) * depth[y, x][:, None]
     u, v = np.rint(views[1].project(points)).astype(int).T

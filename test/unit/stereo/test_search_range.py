@@ -132,9 +132,16 @@ def test_depths_become_disparities() -> None:
     assert range_of_depths(5.0, math.inf, rig(-3.0)) == SearchRange(-4, 58 + 4 + 1)
     near, far = range_of_depths(5.0, 20.0, rig(2.0)).depths_m(rig(2.0))
     assert near < 5.0 < 20.0 < far
-    near, far = SearchRange(0, 64).depths_m(rig())
+    search = SearchRange(0, 64)
+    near, far = search.depths_m(rig())
     assert near == pytest.approx(300 / 63)
     assert far == math.inf
+    assert search.describe(rig()) == '0 to 63 px, depths of 4.76 m to infinity'
+    assert (
+        range_of_depths(5.0, 20.0, rig()).describe(rig())
+        == '14 to 61 px, depths of 4.92 m to 21.4 m'
+    )
+    assert SearchRange(-9, 8).describe(rig()) == '-9 to -2 px, no depth'
 
 
 @pytest.mark.parametrize(('near', 'far'), [(0.0, 5.0), (6.0, 5.0), (5.0, 5.0), (-1.0, 2.0)])

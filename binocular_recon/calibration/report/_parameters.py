@@ -1,31 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a calibration as tables of its report."""
+"""The estimated parameters of a calibration as tables of its report."""
 
 from __future__ import annotations
 
 from html import escape
 
-from binocular_recon.calibration.adjustment.distortion import default_model
-from binocular_recon.calibration.model import COEFFICIENTS
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.drawing.page import section, table
+from binocular_recon.number_text import significant
 
 
-def numbers(result: CalibrationResult) -> str:
+def parameters(result: CalibrationResult) -> str:
     """Return both cameras, their pose and the distortion models that were compared."""
     calibration, sigma = result.calibration, result.sigma
     K = {'left': calibration.K_left, 'right': calibration.K_right}
     D = {'left': calibration.D_left, 'right': calibration.D_right}
     rows = []
     for name, place in (('fx', (0, 0)), ('fy', (1, 1)), ('cx', (0, 2)), ('cy', (1, 2))):
-        values = (f'{K[s][place]:.3f} ± {sigma[f"{name}_{s}_px"]:.2g} px' for s in K)
+        values = (f'{K[s][place]:.3f} ± {significant(sigma[f"{name}_{s}_px"], 2)} px' for s in K)
         rows.append((name, *values))
-    for i, name in enumerate(COEFFICIENTS[calibration.lens]):
+    for i, name in enumerate(calibration.lens_model.COEFFICIENTS):
         if f'{name}_left' in sigma:
-            values = (f'{D[s][i]:.6f} ± {sigma[f"{name}_{s}"]:.1g}' for s in D)
+            values = (f'{D[s][i]:.6f} ± {significant(sigma[f"{name}_{s}"], 1)}' for s in D)
             rows.append((name, *values))
     pose = [
-        (f'T {axis}', f'{1e3 * calibration.T[i]:.3f} ± {1e3 * sigma[f"T_{axis}_m"]:.2g} mm')
+        (
+            f'T {axis}',
+            f'{1e3 * calibration.T[i]:.3f} ± {significant(1e3 * sigma[f"T_{axis}_m"], 2)} mm',
+        )
         for i, axis in enumerate('xyz')
     ]
     evidence = [
@@ -38,10 +40,10 @@ def numbers(result: CalibrationResult) -> str:
         for e in result.evidence
     ]
     return section(
-        'Numbers',
+        'Estimated parameters',
         'Values with one standard deviation. Distortion models are compared by the Bayesian'
         f' information criterion (lower is better); a larger model than'
-        f' {default_model(calibration.lens)} is taken only on strong evidence.',
+        f' {calibration.lens_model.default_model} is chosen only on strong evidence.',
         table(('', 'left', 'right'), rows),
         table(('pose', 'right from left'), pose),
         table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of clouds."""
+"""Images of clouds."""
 
 from __future__ import annotations
 
@@ -26,24 +26,22 @@ def scene(near_m: float = 4.0, far_m: float = 8.0) -> Scene:
     return points, bgr
 
 
-def share(picture: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> float:
-    return float((picture == colour).all(axis=-1).mean())
+def share(image: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> float:
+    return float((image == colour).all(axis=-1).mean())
 
 
-def centre(
-    picture: npt.NDArray[np.uint8], colour: tuple[int, int, int]
-) -> npt.NDArray[np.float64]:
+def centre(image: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> npt.NDArray[np.float64]:
     """Return the mean row and column of a colour."""
-    return np.asarray(np.argwhere((picture == colour).all(axis=-1)).mean(axis=0))
+    return np.asarray(np.argwhere((image == colour).all(axis=-1)).mean(axis=0))
 
 
 def test_seen_straight_the_wall_is_whole_and_hidden_only_by_the_square() -> None:
-    picture = draw_cloud(*scene(), (2 * WIDTH, 2 * HEIGHT), STRAIGHT)
-    assert picture.shape == (2 * HEIGHT, 2 * WIDTH, 3)
+    image = draw_cloud(*scene(), (2 * WIDTH, 2 * HEIGHT), STRAIGHT)
+    assert image.shape == (2 * HEIGHT, 2 * WIDTH, 3)
     # 20 x 20 of 120 x 80 pixels; the borders between the surfaces are not drawn
-    assert 0.025 < share(picture, RED) < 0.045
-    assert share(picture, GREEN) > 0.8
-    np.testing.assert_allclose(centre(picture, RED), [HEIGHT, WIDTH], atol=6)
+    assert 0.025 < share(image, RED) < 0.045
+    assert share(image, GREEN) > 0.8
+    np.testing.assert_allclose(centre(image, RED), [HEIGHT, WIDTH], atol=6)
 
 
 def test_from_the_left_near_things_move_right_and_from_above_down() -> None:
@@ -60,17 +58,17 @@ def test_what_stands_before_hides_what_is_behind() -> None:
     behind = np.roll(points, 30, axis=1)[::-1]  # painting order must not matter
     both = np.concatenate([points, behind + np.array([0, 0, 5], np.float32)], axis=1)
     colours = np.concatenate([bgr, np.full_like(bgr, 77)], axis=1)
-    picture = draw_cloud(both, colours, (240, 160), STRAIGHT)
-    assert share(picture, RED) > 0.015
-    rows, columns = np.rint(centre(picture, RED)).astype(int)
-    assert tuple(picture[rows, columns]) == RED
+    image = draw_cloud(both, colours, (240, 160), STRAIGHT)
+    assert share(image, RED) > 0.015
+    rows, columns = np.rint(centre(image, RED)).astype(int)
+    assert tuple(image[rows, columns]) == RED
 
 
-def test_nothing_to_draw_is_an_empty_picture() -> None:
+def test_nothing_to_draw_is_an_empty_image() -> None:
     points, bgr = scene()
-    picture = draw_cloud(np.full_like(points, np.nan), bgr, (60, 40))
-    assert picture.shape == (40, 60, 3)
-    assert np.unique(picture.reshape(-1, 3), axis=0).shape == (1, 3)
+    image = draw_cloud(np.full_like(points, np.nan), bgr, (60, 40))
+    assert image.shape == (40, 60, 3)
+    assert np.unique(image.reshape(-1, 3), axis=0).shape == (1, 3)
     one = np.full_like(points, np.nan)
     one[5, 5] = points[5, 5]
     assert draw_cloud(one, bgr, (60, 40)).shape == (40, 60, 3)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers as people read them in messages, reports and tables: never with an exponent."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def fixed(value: float | None, decimals: int = 1) -> str:
+    """Return a number with ``decimals`` places, for the columns of a table.
+
+    Parameters
+    ----------
+    value : float or None
+        None and NaN, no number, become ``-``; infinity becomes ``none``.
+    decimals : int
+        Digits behind the point.
+
+    """
+    if value is None or math.isnan(value):
+        return '-'
+    return f'{value:.{decimals}f}' if math.isfinite(value) else 'none'
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Return a number with ``digits`` significant digits, trailing zeros included.
+
+    A whole number keeps all its digits: 12345 does not become 12300. No number and infinity are
+    as for `fixed`.
+    """
+    if value is None or not math.isfinite(value) or value == 0:
+        return fixed(value, 0)
+    # the exponent after rounding: 9.996 has as many places as 10.0
+    exponent = int(f'{value:.{digits - 1}e}'.partition('e')[2])
+    return fixed(value, max(0, digits - 1 - exponent))
+
+
+def plain(value: float, digits: int = 6) -> str:
+    """Return a round number with no more digits than it needs, and at most ``digits``."""
+    if not math.isfinite(value):
+        return fixed(value)
+    text = np.format_float_positional(value, precision=digits, fractional=False, trim='-')
+    return '0' if text == '-0' else text
