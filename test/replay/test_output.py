@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from binocular_recon.apps import frame_formats
+from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.io.ply import write_ply
 from test.bag_tools import (
     stereo_records,
@@ -46,7 +46,8 @@ def test_a_full_disk_keeps_the_finished_frames(
             path.with_name(f'.{path.name}.{os.getpid()}.part').symlink_to('/dev/full')
         return write_ply(path, *arguments)
 
-    monkeypatch.setattr(frame_formats, 'write_ply', find_no_space)
+    cloud = FRAME_FORMATS['cloud']._replace(write=find_no_space)
+    monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
     assert reconstruct(bag, output) == 1
     assert 'No space left on device; free some space' in capsys.readouterr().err
     summary = json.loads((output / 'summary.json').read_text())

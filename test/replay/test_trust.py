@@ -49,7 +49,7 @@ def test_the_range_is_found_and_said(
 ) -> None:
     assert reconstruct(bag_of(tmp_path, scene), tmp_path / 'out') == 0
     printed = capsys.readouterr()
-    assert 'baseline 0.500 m, focal length 300 px: disparities -1 to' in printed.err
+    assert 'baseline 0.500 m, focal length 300 px; search range: -1 to' in printed.err
     assert 'm to infinity' in printed.err
     assert 'of the pixels measured' in printed.out
     error_px = np.abs(read_pfm(tmp_path / 'out' / '000000_disparity.pfm') - scene.disparity_px)

@@ -151,7 +151,7 @@ def _methods(result: CalibrationResult) -> str:
         ' original images; those of a perfect calibration are the noise of the marks.',
         figure(charts.board_errors(result), legend(*METHODS.items()), kind='wide'),
         table(
-            ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted - planar'),
+            ('board', 'planar, px', 'corrected, px', 'adjusted, px', 'adjusted against planar'),
             rows,
             kind='total wide',
         ),

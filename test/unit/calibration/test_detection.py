@@ -55,6 +55,8 @@ def test_clutter_occlusion_border_and_tilt(shared_data: Path) -> None:
         options = mixed_options(rng, photographs)
         scores.append(score_capture(board, simulate_capture(board, RIG, rng, options)))
     figures = summarise_scores(scores)
+    seconds = figures['seconds_per_image']
+    assert 0 < seconds['median'] <= seconds['p90']
     assert figures['wrong_identities'] == 0
     assert figures['boards_complete'] >= 3
     assert figures['rms_px']['x'] < 0.12

@@ -132,6 +132,14 @@ def test_command_writes_table_json_and_page(
     assert ('no ximgproc' in printed) == (not peers.has_ximgproc())
     assert {entry['method'] for entry in facts['exposure']} == set(names)
     assert {entry['depth_px'] for entry in facts['crop']} >= {0, 4, 8}
+    for header in (
+        '| of filled pixels px |',
+        '| right image darker ',
+        '| bad-2.0 % before | after |',
+        '| effect of cropping: max px / p99 px / changed fill % |',
+    ):
+        assert header in printed
+    assert '\n| 1 or more ' in printed and 'inf' not in printed
     page = (output / 'evaluation.html').read_text(encoding='utf-8')
     # image, ground truth, an error map each and a disparity map for each of ours
     assert page.count('<img') == page.count('data:image/') == 2 + len(names) + 2
