@@ -15,6 +15,7 @@ from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.evaluation.calibration.self_check import (
     simulated_boards,
@@ -23,6 +24,7 @@ from binocular_recon.evaluation.calibration.self_check import (
 )
 from binocular_recon.simulation.rig import fisheye_rig, survey_rig
 from binocular_recon.simulation.rods import (
+    FACING_CAMERA,
     PlacedBoard,
     paper_board,
     place_board,
@@ -106,6 +108,48 @@ def fisheye_captures(
             inside = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=-1, keepdims=True)
             sides.append(np.where(inside, px, np.nan))
         captures.append(Capture(f'{index:02d}', *sides))
+    return captures
+
+
+def points_target(columns: int = 10, rows: int = 7, spacing_m: float = 0.1) -> Target:
+    """Return a chessboard: inner corners, 0.9 x 0.6 m unless stated otherwise."""
+    x, y = np.meshgrid(spacing_m * np.arange(columns), spacing_m * np.arange(rows))
+    return Target.from_points(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+
+
+def chessboard_captures(
+    boards: int = 20,
+    *,
+    seed: int = 0,
+    bow_m: tuple[float, float] = (0.0, 0.0),
+    noise_px: float = 0.15,
+) -> list[Capture]:
+    """Simulate corners of a chessboard at 1.8 to 5 m, seen by the survey rig.
+
+    Its middle stands out along z (to the viewer) by ``bow_m`` of its bend along x and along y.
+    Corners outside of an image are NaN.
+    """
+    rng, views = np.random.default_rng([seed, 7]), survey_rig().views()
+    corners = points_target().anchors_m
+    middle = corners.mean(axis=0)
+    half = np.ptp(corners, axis=0)[:2] / 2
+    bent = corners - middle
+    bent[:, 2] = (1 - (bent[:, :2] / half) ** 2) @ bow_m
+    captures: list[Capture] = []
+    while len(captures) < boards:
+        depth = 1.8 * (5 / 1.8) ** ((len(captures) + rng.uniform()) / boards)
+        place = [0.5 + rng.uniform(-0.4, 0.4) * depth, rng.uniform(-0.3, 0.3) * depth, depth]
+        turn = cv2.Rodrigues(rng.uniform([-0.6, -0.7, -0.3], [0.6, 0.7, 0.3]))[0]
+        seen = bent @ (turn @ FACING_CAMERA).T + place
+        pixels = [view.project(seen) for view in views]
+        inside = [((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1) for px in pixels]
+        if min(share.mean() for share in inside) < 0.5:
+            continue
+        noisy = [
+            np.where(found[:, None], px + rng.normal(0, noise_px, px.shape), np.nan)[:, None]
+            for px, found in zip(pixels, inside, strict=True)
+        ]
+        captures.append(Capture(f'{len(captures) + 1:02d}', *noisy))
     return captures
 
 
