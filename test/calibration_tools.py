@@ -10,9 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.adjustment.bundle_adjustment import Problem, free_parameters
+from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
+from binocular_recon.calibration.adjustment.planar import DEFAULT_COEFFICIENTS, calibrate_planar
+from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.screening import observations
+from binocular_recon.calibration.solve import FIRST_SIGMA_PX, calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
@@ -151,6 +156,31 @@ def chessboard_captures(
         ]
         captures.append(Capture(f'{len(captures) + 1:02d}', *noisy))
     return captures
+
+
+def estimated(captures: list[Capture], target: Target, size: tuple[int, int] = SIZE) -> Estimate:
+    """Adjust as `calibrate` does, without its other stages."""
+    observed = observations(captures)
+    free = free_parameters(DEFAULT_COEFFICIENTS['plumb_bob'])
+    problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
+    return estimate(problem, calibrate_planar(observed, target, size))
+
+
+def depth_rms_m(found: Estimate, depth_m: float, true: StereoCalibration | None = None) -> float:
+    """Return the root mean square of depth errors over the field of view, m."""
+    true = true or truth()
+    points = field_of_view(true, depth_m)
+    pixels = (true.project(points, side) for side in ('left', 'right'))
+    errors = found.state.calibration.triangulate(*pixels)[:, 2] - depth_m
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def stated_rms_m(found: Estimate, depth_m: float) -> float:
+    """Return the stated sigma of depth over the field of view, m, root mean square."""
+    calibration = found.state.calibration
+    points = field_of_view(calibration, depth_m)
+    sigma = depth_sigma_m(calibration, found.problem.free, found.covariance, points)
+    return float(np.sqrt(np.mean(sigma**2)))
 
 
 @functools.cache
