@@ -10,11 +10,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.adjustment.bundle_adjustment import Problem, free_parameters
+from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
+from binocular_recon.calibration.adjustment.planar import calibrate_planar
+from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.result import CalibrationResult
-from binocular_recon.calibration.solve import calibrate
+from binocular_recon.calibration.screening import observations
+from binocular_recon.calibration.solve import FIRST_SIGMA_PX, calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
+from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray, StereoRig, parameter_names
 from binocular_recon.evaluation.calibration.self_check import (
     simulated_boards,
@@ -22,8 +28,10 @@ from binocular_recon.evaluation.calibration.self_check import (
     true_calibration,
 )
 from binocular_recon.io.files import write_json
+from binocular_recon.lenses.registry import LENSES
 from binocular_recon.simulation.rig import RawRig, fisheye_rig, survey_rig
 from binocular_recon.simulation.rods import (
+    FACING_CAMERA,
     PlacedBoard,
     paper_board,
     place_board,
@@ -109,6 +117,73 @@ def fisheye_captures(
             sides.append(np.where(inside, px, np.nan))
         captures.append(Capture(f'{index:02d}', *sides))
     return captures
+
+
+def points_target(columns: int = 10, rows: int = 7, spacing_m: float = 0.1) -> Target:
+    """Return a chessboard: inner corners, 0.9 x 0.6 m unless stated otherwise."""
+    x, y = np.meshgrid(spacing_m * np.arange(columns), spacing_m * np.arange(rows))
+    return Target.from_points(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+
+
+def chessboard_captures(
+    boards: int = 20,
+    *,
+    seed: int = 0,
+    bow_m: tuple[float, float] = (0.0, 0.0),
+    noise_px: float = 0.15,
+) -> list[Capture]:
+    """Simulate corners of a chessboard at 1.8 to 5 m, seen by the survey rig.
+
+    Its middle stands out along z (to the viewer) by ``bow_m`` of its bend along x and along y.
+    Corners outside of an image are NaN.
+    """
+    rng, views = np.random.default_rng([seed, 7]), survey_rig().views()
+    corners = points_target().anchors_m
+    middle = corners.mean(axis=0)
+    half = np.ptp(corners, axis=0)[:2] / 2
+    bent = corners - middle
+    bent[:, 2] = (1 - (bent[:, :2] / half) ** 2) @ bow_m
+    captures: list[Capture] = []
+    while len(captures) < boards:
+        depth = 1.8 * (5 / 1.8) ** ((len(captures) + rng.uniform()) / boards)
+        place = [0.5 + rng.uniform(-0.4, 0.4) * depth, rng.uniform(-0.3, 0.3) * depth, depth]
+        turn = cv2.Rodrigues(rng.uniform([-0.6, -0.7, -0.3], [0.6, 0.7, 0.3]))[0]
+        seen = bent @ (turn @ FACING_CAMERA).T + place
+        pixels = [view.project(seen) for view in views]
+        inside = [np.all((px > 0) & (px < np.array(SIZE) - 1), axis=1) for px in pixels]
+        if min(share.mean() for share in inside) < 0.5:
+            continue
+        noisy = [
+            np.where(found[:, None], px + rng.normal(0, noise_px, px.shape), np.nan)[:, None]
+            for px, found in zip(pixels, inside, strict=True)
+        ]
+        captures.append(Capture(f'{len(captures) + 1:02d}', *noisy))
+    return captures
+
+
+def estimated(captures: list[Capture], target: Target, size: tuple[int, int] = SIZE) -> Estimate:
+    """Adjust as `calibrate` does, without its other stages."""
+    observed = observations(captures)
+    free = free_parameters(LENSES['plumb_bob'].DEFAULT_COEFFICIENTS)
+    problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
+    return estimate(problem, calibrate_planar(observed, target, size))
+
+
+def depth_rms_m(found: Estimate, depth_m: float, true: StereoCalibration | None = None) -> float:
+    """Return the root mean square of depth errors over the field of view, m."""
+    true = true or truth()
+    points = field_of_view(true, depth_m)
+    pixels = (true.project(points, side) for side in ('left', 'right'))
+    errors = found.state.calibration.triangulate(*pixels)[:, 2] - depth_m
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def stated_rms_m(found: Estimate, depth_m: float) -> float:
+    """Return the stated sigma of depth over the field of view, m, root mean square."""
+    calibration = found.state.calibration
+    points = field_of_view(calibration, depth_m)
+    sigma = depth_sigma_m(calibration, found.problem.free, found.covariance, points)
+    return float(np.sqrt(np.mean(sigma**2)))
 
 
 @functools.cache

@@ -106,7 +106,9 @@ def advise(found: Estimate, count: int = 3) -> tuple[Advice, ...]:
     if not len(points):
         return ()
     derivatives = depth_derivatives(found.state.calibration, found.problem.free, points)
-    covariance, advised = found.covariance, []
+    warp = len(found.shared_covariance) - derivatives.shape[1]
+    derivatives = found.inflation * np.pad(derivatives, ((0, 0), (0, warp)))
+    covariance, advised = found.shared_covariance, []
     for _ in range(count):
         before = _rms(derivatives, covariance)
         updated = np.linalg.inv(np.linalg.inv(covariance) + information)
@@ -159,6 +161,7 @@ def _candidates(found: Estimate) -> State:
         np.array(rotations),
         np.array(translations),
         np.zeros((len(rotations), target.shape[0], 5)),
+        state.warp_m,
     )
     in_front = marks_in_left(boards, target)[..., 2].min(axis=(1, 2)) > 0
     boards = boards.select(in_front)

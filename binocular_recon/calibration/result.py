@@ -12,6 +12,7 @@ import numpy as np
 from binocular_recon.calibration.adjustment.distortion import Evidence
 from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import marks_in_left, predict
+from binocular_recon.calibration.adjustment.split_halves import SplitHalves
 from binocular_recon.calibration.adjustment.uncertainty import (
     baseline_sigma_m,
     depth_sigma_m,
@@ -86,6 +87,8 @@ class CalibrationResult:
         Zhang's method; the same after epipolar correction; the joint adjustment.
     estimate : Estimate
         Adjusted parameters, their covariance, the noise found.
+    halves : SplitHalves
+        Whether halves of the boards agree as well as that covariance says.
     evidence : tuple of Evidence
         Distortion models compared.
     model : str
@@ -105,6 +108,7 @@ class CalibrationResult:
     corrected: Stage
     adjusted: Stage
     estimate: Estimate
+    halves: SplitHalves
     evidence: tuple[Evidence, ...]
     model: str
     rejected: tuple[Rejected, ...]
@@ -210,6 +214,8 @@ class CalibrationResult:
             'placement_scale': dict(
                 zip(DEVIATIONS, self.estimate.problem.placement_scale.tolist(), strict=True)
             ),
+            'board_warp_m': self._board_warp(),
+            'split_half': self.halves.to_mapping(),
             'distortion': {
                 'model': self.model,
                 'evidence': [
@@ -220,6 +226,13 @@ class CalibrationResult:
             'warnings': list(self.warnings),
             'advice': [{**asdict(advice), 'words': str(advice)} for advice in self.advice],
         }
+
+    def _board_warp(self) -> dict[str, Any] | None:
+        if not self.estimate.problem.target.bends:
+            return None
+        values = self.estimate.state.warp_m, self.estimate.warp_sigma_m
+        warp, sigma = (dict(zip('xy', value.tolist(), strict=True)) for value in values)
+        return {**warp, 'sigma': sigma}
 
     def _boards(self) -> list[dict[str, Any]]:
         # in both images, as a crew counts them

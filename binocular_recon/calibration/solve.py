@@ -17,6 +17,7 @@ from binocular_recon.calibration.adjustment.distortion import (
 from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
 from binocular_recon.calibration.adjustment.linearisation import State, predict
 from binocular_recon.calibration.adjustment.planar import calibrate_planar
+from binocular_recon.calibration.adjustment.split_halves import compare_halves
 from binocular_recon.calibration.advice import advise
 from binocular_recon.calibration.model import DEFAULT_LENS, StereoCalibration, check_lens
 from binocular_recon.calibration.rectification.epipolar import free_pair
@@ -64,7 +65,7 @@ def calibrate(
     captures : sequence of Capture
         Marks of each board; NaN = not found.
     target : RodBoard or Target
-        Rods as in ``rods.yaml``, or exactly known points.
+        Rods as in ``rods.yaml``, or the points of a board.
     image_size : (int, int)
         Width and height of every image, px.
     lens : str
@@ -106,6 +107,10 @@ def calibrate(
     check_count(len(adjusted.boards), lost)
     check_order(adjusted.state.calibration)
 
+    report('comparison of halves of the boards')
+    halves = compare_halves(adjusted)
+    adjusted = replace(adjusted, inflation=halves.factor)
+
     report('epipolar correction and recalibration')
     used = adjusted.problem.observed_px
     planar, notes = _planar(adjusted, planar)
@@ -125,10 +130,11 @@ def calibrate(
         corrected=corrected,
         adjusted=final,
         estimate=adjusted,
+        halves=halves,
         evidence=evidence,
         model=model,
         rejected=tuple(lost),
-        warnings=warnings_of(adjusted) + notes + more,
+        warnings=warnings_of(adjusted, halves) + notes + more,
         advice=advise(adjusted),
     )
 

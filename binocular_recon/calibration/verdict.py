@@ -7,6 +7,7 @@ import numpy as np
 
 from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import linearise, marks_in_left
+from binocular_recon.calibration.adjustment.split_halves import SplitHalves
 from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
 from binocular_recon.calibration.rectification.homography import ImageGrid
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
@@ -26,6 +27,8 @@ DISPLACEMENT_SHARE, COMMON_SHARE = 0.05, 0.03
 MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
 # Rods and marks found on fewer boards than this share of the usual number are pointed out.
 RARE_SHARE = 0.4
+# A board that is certainly bent, by more than this share of its longer side, is pointed out.
+WARP_SIGMAS, WARP_SHARE = 3.0, 1e-3
 # Depth at the boards whose sigma exceeds this share of it is not calibrated.
 DEPTH_LIMIT = 0.1
 
@@ -38,9 +41,9 @@ def check_result(found: Estimate) -> None:
     _check_depth(found)
 
 
-def warnings_of(found: Estimate) -> tuple[str, ...]:
+def warnings_of(found: Estimate, halves: SplitHalves) -> tuple[str, ...]:
     """Return warnings for the user, one sentence each."""
-    warnings = []
+    warnings = [halves.warning] if halves.warning else []
     problem = found.problem
     if len(found.boards) < RECOMMENDED_BOARDS:
         warnings.append(
@@ -62,7 +65,7 @@ def warnings_of(found: Estimate) -> tuple[str, ...]:
         warnings.append(
             'which marks to leave out was not settled; look for a board with many marks left out'
         )
-    warnings += _misplaced_marks(found) + _rarely_found(found)
+    warnings += _misplaced_marks(found) + _rarely_found(found) + _bent_board(found)
     for side in ('left', 'right'):
         unusable = 1 - ImageGrid.of(found.state.calibration, side).usable_share
         if unusable > 0:
@@ -149,6 +152,25 @@ def _misplaced_marks(found: Estimate) -> list[str]:
         for mark, offset in enumerate(offsets)
         if abs(offset) > max(MARK_OFFSET_M, MARK_OFFSET_SIGMAS / np.sqrt(information[mark]))
     ]
+
+
+def _bent_board(found: Estimate) -> list[str]:
+    """Say by how much the board is bent, if that is certain and large."""
+    target, warp = found.problem.target, found.state.warp_m
+    if not target.bends:
+        return []
+    bend, side = float(np.abs(warp).sum()), float(np.ptp(target.anchors_m, axis=0).max())
+    if bend < WARP_SHARE * side or np.all(np.abs(warp) < WARP_SIGMAS * found.warp_sigma_m):
+        return []
+    parts = ' and '.join(
+        f'{1e3 * value:+.2f} +- {1e3 * sigma:.2f} mm along {axis}'
+        for value, sigma, axis in zip(warp, found.warp_sigma_m, 'xy', strict=True)
+    )
+    words = (
+        f'the board is bent by {1e3 * bend:.1f} mm ({parts}); this was allowed for, but it may'
+        ' bend otherwise on another day: fix it to a stiff plate'
+    )
+    return [words]
 
 
 def _rarely_found(found: Estimate) -> list[str]:

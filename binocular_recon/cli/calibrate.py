@@ -134,6 +134,14 @@ def summary(result: CalibrationResult) -> str:
         ),
         f'depth sigma: {", ".join(depths)}',
     ]
+    if warp := content['board_warp_m']:
+        parts = (
+            f'{axis} {1e3 * warp[axis]:+.2f} +- {significant(1e3 * warp["sigma"][axis], 2)} mm'
+            for axis in 'xy'
+        )
+        lines.append(f'warp of the board: {", ".join(parts)}')
+    if not result.halves.warning:
+        lines.append(str(result.halves))
     lines += [f'next: {advice}' for advice in result.advice[:1]]
     return '\n'.join(lines)
 

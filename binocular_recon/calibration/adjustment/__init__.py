@@ -4,8 +4,8 @@
 `planar` is Zhang's method per camera, the start (`fisheye_start` for fisheye lenses);
 `bundle_adjustment` adjusts both cameras, all boards and every rod together (`linearisation`:
 predictions and derivatives); `estimation` adds what must be found out on the way: noise,
-outliers, bad boards; `distortion` chooses the lens terms; `uncertainty` says what the covariance
-means for depth.
+outliers, bad boards; `distortion` chooses the lens terms; `split_halves` checks the covariance
+on halves of the boards; `uncertainty` says what it means for depth.
 """
 
 from typing import TYPE_CHECKING
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
     from binocular_recon.calibration.adjustment.linearisation import State, predict
     from binocular_recon.calibration.adjustment.planar import calibrate_planar
+    from binocular_recon.calibration.adjustment.split_halves import SplitHalves, compare_halves
     from binocular_recon.calibration.adjustment.uncertainty import (
         baseline_sigma_m,
         depth_sigma_m,
@@ -28,9 +29,11 @@ __all__ = [
     'Estimate',
     'Evidence',
     'Problem',
+    'SplitHalves',
     'State',
     'baseline_sigma_m',
     'calibrate_planar',
+    'compare_halves',
     'compare_models',
     'depth_sigma_m',
     'estimate',

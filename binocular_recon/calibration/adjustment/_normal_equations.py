@@ -7,11 +7,12 @@ boards, leaves one small system for the calibration (Schur complement), whatever
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 # Keeps a board's pose solvable where its marks leave a freedom (a single rod may turn about its
 # axis): information of a turn known to 10 rad and a shift known to 1000 m.
@@ -21,6 +22,8 @@ _POSE_FLOOR = np.array([1e-2] * 3 + [1e-6] * 3)
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
     """``J^T W J`` and ``J^T W r`` in blocks; "shared" is a board's pose, then the calibration.
+
+    Where boards bend, their warp belongs to the calibration.
 
     Attributes
     ----------
@@ -67,6 +70,17 @@ class NormalEquations:
         rods = rod_part[..., -1] - np.einsum('brfs,bs->brf', rod_part[..., :-1], shared)
         return calibration, boards, rods
 
+    def select(self, boards: Mask) -> NormalEquations:
+        """Return the equations of some of the boards, (B,) bool, with the same prior."""
+        return replace(
+            self,
+            rod=self.rod[boards],
+            rod_shared=self.rod_shared[boards],
+            shared=self.shared[boards],
+            rod_rhs=self.rod_rhs[boards],
+            shared_rhs=self.shared_rhs[boards],
+        )
+
     def board_information(self) -> FloatArray:
         """Return what each board says about the calibration alone, (B, n, n)."""
         lifted, _ = self._lifted(self.rod)
@@ -91,7 +105,7 @@ class NormalEquations:
         pose_inverse = _inverses(lifted[:, :6, :6])
         gain = -pose_inverse @ lifted[:, :6, 6:]
         reduced = lifted[:, 6:, 6:].sum(0) + np.einsum('bpc,bpd->cd', lifted[:, :6, 6:], gain)
-        calibration = _inverse(reduced + self.prior)
+        calibration = inverse(reduced + self.prior)
         boards = _extended(
             pose_inverse, gain, np.broadcast_to(calibration, (len(gain), *calibration.shape))
         )
@@ -127,11 +141,11 @@ def _inverses(matrices: FloatArray) -> FloatArray:
     return inverses
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
+def inverse(matrix: FloatArray) -> FloatArray:
     """Invert a positive definite matrix whose parameters have very different units."""
     scale = 1 / np.sqrt(np.diag(matrix))
-    inverse: FloatArray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
-    return inverse
+    inverted: FloatArray = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    return inverted
 
 
 def _diagonal(matrix: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ Minimises, over calibration, board poses and rod deviations q,
 
     sum_marks rho(|r| / sigma_px) + sum_rods rho(|q| / sigma_q) + calibration prior
 
+and, for boards of points, over the warp that all of them share, with its prior;
 with rho quadratic near 0 and linear far out (Huber), by Levenberg and Marquardt's method. The
 spacing of the marks along a rod is exact; the arrangement of the rods is only a prior, since
 crews place rods to millimetres at best. Source: Triggs et al., "Bundle Adjustment - A Modern
@@ -103,6 +104,12 @@ class Problem:
         sigmas: FloatArray = (self.placement_scale * self.target.sigmas)[self.free_deviations]
         return sigmas
 
+    @property
+    def warp_information(self) -> FloatArray:
+        """What is known of the warp beforehand, (w,) 1/m^2; w = 0 on boards that do not bend."""
+        sigma = self.target.warp_sigma_m
+        return np.full(2, sigma**-2) if self.target.bends else np.zeros(0)
+
     def residuals(self, predicted_px: FloatArray) -> FloatArray:
         """Return observed - predicted in standard deviations, (B, R, M, 2, 2); 0 = not found."""
         split = (*self.observed_px.shape[:-1], 2, 2)
@@ -158,11 +165,16 @@ def cost(problem: Problem, state: State) -> float:
     rods = np.abs(problem.rod_residuals(state))
     prior, _ = _calibration_prior(state.calibration)
     values = _parameters(state.calibration)
-    return float(_loss(residuals).sum() + _loss(rods).sum() + 0.5 * values @ prior @ values)
+    warp = problem.warp_information
+    known = values @ prior @ values + warp @ state.warp_m[: len(warp)] ** 2
+    return float(_loss(residuals).sum() + _loss(rods).sum() + 0.5 * known)
 
 
 def normal_equations(problem: Problem, state: State) -> NormalEquations:
-    """Return the normal equations at ``state``, with the weights of the robust loss."""
+    """Return the normal equations at ``state``, with the weights of the robust loss.
+
+    The block of the calibration holds its n free parameters and then the w parts of the warp.
+    """
     predicted, jacobians = linearise(state, problem.target)
     residuals = problem.residuals(predicted)
     rod_residuals = problem.rod_residuals(state)
@@ -178,15 +190,15 @@ def normal_equations(problem: Problem, state: State) -> NormalEquations:
     rod_rhs = (rods_T @ errors[..., None])[..., 0] - rod_weights * rod_residuals / sigmas
     shared_rows = shared.reshape(len(shared), -1, shared.shape[-1])
     shared_T = np.swapaxes(shared_rows, -1, -2)
-    prior, prior_rhs = _calibration_prior(state.calibration)
+    prior, prior_rhs = _shared_prior(problem, state)
     return NormalEquations(
         rod=rod,
         rod_shared=rods_T @ shared,
         shared=shared_T @ shared_rows,
         rod_rhs=rod_rhs,
         shared_rhs=(shared_T @ errors.reshape(len(errors), -1, 1))[..., 0],
-        prior=prior[np.ix_(problem.free, problem.free)],
-        prior_rhs=prior_rhs[problem.free],
+        prior=prior,
+        prior_rhs=prior_rhs,
     )
 
 
@@ -204,15 +216,15 @@ def weighted_rows(
     -------
     rods : (B, R, 4 M, f) float64
         By the rod's free deviations.
-    shared : (B, R, 4 M, 6 + n) float64
-        By the board's pose and the free parameters of the calibration.
+    shared : (B, R, 4 M, 6 + n + w) float64
+        By the board's pose, the free parameters of the calibration and the warp.
 
     """
     scale = (weights[..., None] / problem.sigma_px).reshape(*weights.shape[:-1], 4, 1)
     shape = (*weights.shape[:2], 4 * weights.shape[2], -1)
     rods = jacobians.rod[..., problem.free_deviations] * scale
     calibration = jacobians.calibration[..., problem.free]
-    shared = np.concatenate([jacobians.board, calibration], axis=-1) * scale
+    shared = np.concatenate([jacobians.board, calibration, jacobians.warp], axis=-1) * scale
     return rods.reshape(*shape[:-1], rods.shape[-1]), shared.reshape(*shape[:-1], shared.shape[-1])
 
 
@@ -252,11 +264,23 @@ def _calibration_prior(calibration: StereoCalibration) -> tuple[FloatArray, Floa
     return prior, -prior @ _parameters(calibration)
 
 
+def _shared_prior(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
+    """Return the prior of free parameters and warp: (n + w, n + w), right-hand side (n + w,)."""
+    free, warp = problem.free, problem.warp_information
+    calibration, calibration_rhs = _calibration_prior(state.calibration)
+    count = int(free.sum())
+    prior = np.zeros((count + len(warp),) * 2)
+    prior[:count, :count] = calibration[np.ix_(free, free)]
+    prior[range(count, len(prior)), range(count, len(prior))] = warp
+    return prior, np.r_[calibration_rhs[free], -warp * state.warp_m[: len(warp)]]
+
+
 def _moved(
     problem: Problem, state: State, steps: tuple[FloatArray, FloatArray, FloatArray]
 ) -> State:
-    calibration = np.zeros(len(problem.free))
-    calibration[problem.free] = steps[0]
+    calibration, count = np.zeros(len(problem.free)), int(problem.free.sum())
+    calibration[problem.free] = steps[0][:count]
     rods = np.zeros_like(state.deviations)
     rods[..., problem.free_deviations] = steps[2]
-    return state.moved(calibration, steps[1], rods)
+    warp_m = steps[0][count:] if problem.target.bends else None
+    return state.moved(calibration, steps[1], rods, warp_m)

@@ -65,10 +65,14 @@ class Estimate:
         Marks of the used boards that were left out.
     bad_boards : dict of int to str
         Boards left out and why.
-    covariance : (n, n) float64
-        Of the free parameters of the calibration.
+    shared_covariance : (n + w, n + w) float64
+        Of the n free parameters of the calibration and then of the w parts of the boards' warp
+        (2; 0 on boards that do not bend), as the noise of the marks makes it.
     settled : bool
         Whether outliers and noise stayed the same in the last round.
+    inflation : float
+        Factor on all standard deviations, found by comparing halves of the boards
+        (`split_halves`).
 
     """
 
@@ -77,8 +81,22 @@ class Estimate:
     boards: tuple[int, ...]
     outliers: Mask
     bad_boards: dict[int, str]
-    covariance: FloatArray
+    shared_covariance: FloatArray
     settled: bool = True
+    inflation: float = 1.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the free parameters of the calibration, warp and boards marginalised, (n, n)."""
+        count = int(self.problem.free.sum())
+        return self.inflation**2 * self.shared_covariance[:count, :count]
+
+    @property
+    def warp_sigma_m(self) -> FloatArray:
+        """One standard deviation of both parts of the warp, (w,) m."""
+        variances = np.diag(self.shared_covariance)[int(self.problem.free.sum()) :]
+        sigma: FloatArray = self.inflation * np.sqrt(variances)
+        return sigma
 
     @property
     def full_covariance(self) -> FloatArray:
@@ -175,7 +193,7 @@ def estimate(problem: Problem, state: State) -> Estimate:
         boards=tuple(boards.tolist()),
         outliers=~problem.seen & np.isfinite(fit.lengths),
         bad_boards=bad_boards,
-        covariance=covariance,
+        shared_covariance=covariance,
         settled=settled,
     )
 

@@ -7,7 +7,7 @@ each function below is one link with its derivatives.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ class State:
         Origin of each board in the left camera, m.
     deviations : (B, R, 5) float64
         Displacement of every rod from its nominal place (`target.DEVIATIONS`).
+    warp_m : (2,) float64
+        Warp that all boards share, m (`Target.bumps`); 0 on boards that do not bend.
 
     """
 
@@ -41,23 +43,31 @@ class State:
     rotations: FloatArray
     translations_m: FloatArray
     deviations: FloatArray
+    warp_m: FloatArray = field(default_factory=lambda: np.zeros(2))
 
-    def moved(self, calibration: FloatArray, boards: FloatArray, rods: FloatArray) -> State:
-        """Return the state after steps (p,), (B, 6) (turn, shift) and (B, R, 5)."""
+    def moved(
+        self,
+        calibration: FloatArray,
+        boards: FloatArray,
+        rods: FloatArray,
+        warp_m: FloatArray | None = None,
+    ) -> State:
+        """Return the state after steps (p,), (B, 6) (turn, shift), (B, R, 5) and (2,) m."""
         return State(
             self.calibration.moved(calibration),
             rotation(boards[:, :3]) @ self.rotations,
             self.translations_m + boards[:, 3:],
             self.deviations + rods,
+            self.warp_m if warp_m is None else self.warp_m + warp_m,
         )
 
     def select(self, boards: npt.NDArray[Any]) -> State:
         """Return the state of some of the boards."""
-        return State(
-            self.calibration,
-            self.rotations[boards],
-            self.translations_m[boards],
-            self.deviations[boards],
+        return replace(
+            self,
+            rotations=self.rotations[boards],
+            translations_m=self.translations_m[boards],
+            deviations=self.deviations[boards],
         )
 
 
@@ -73,17 +83,20 @@ class Jacobians:
         By a turn (rad) and a shift (m) of the board in the left camera.
     rod : (B, R, M, 4, 5) float64
         By the rod's deviations.
+    warp : (B, R, M, 4, w) float64
+        By the warp of the boards; w is 2, or 0 on boards that do not bend.
 
     """
 
     calibration: FloatArray
     board: FloatArray
     rod: FloatArray
+    warp: FloatArray
 
 
 def predict(state: State, target: Target) -> FloatArray:
     """Return where the marks appear: (B, R, M, 4) px, left u, left v, right u, right v."""
-    marks, directions = target.marks(state.deviations)
+    marks, directions = target.marks(state.deviations, state.warp_m)
     return np.concatenate(
         [
             state.calibration.lens_model.pixels(
@@ -97,13 +110,13 @@ def predict(state: State, target: Target) -> FloatArray:
 
 def marks_in_left(state: State, target: Target) -> FloatArray:
     """Return the marks on the rods' axes in the left camera's frame, (B, R, M, 3) m."""
-    marks, _ = target.marks(state.deviations)
+    marks, _ = target.marks(state.deviations, state.warp_m)
     return _to_left(state, marks)
 
 
 def linearise(state: State, target: Target) -> tuple[FloatArray, Jacobians]:
     """Return the predicted marks, (B, R, M, 4) px, and their derivatives."""
-    marks, directions = target.marks(state.deviations)
+    marks, directions = target.marks(state.deviations, state.warp_m)
     d_marks, d_directions = _target_derivatives(target, state.deviations, directions)
     axis = _to_left(state, marks)
     along = np.einsum('bij,brj->bri', state.rotations, directions)[:, :, None]
@@ -113,8 +126,10 @@ def linearise(state: State, target: Target) -> tuple[FloatArray, Jacobians]:
     d_along_board = _hstack(-cross_matrix(along), np.zeros((3, 3)))
     rotations = state.rotations[:, None, None]
     d_axis_rod, d_along_rod = rotations @ d_marks, rotations @ d_directions
+    bumps = target.bumps if target.bends else np.zeros((target.shape[0], 0))
+    d_axis_warp = rotations[..., 2:] * bumps[:, None, None]
     calibration = state.calibration
-    pixels, by_calibration, by_board, by_rod = [], [], [], []
+    pixels, by_calibration, by_board, by_rod, by_warp = [], [], [], [], []
     for side in ('left', 'right'):
         K, D, R, T = calibration.side(side)
         point, direction = axis @ R.T + T, along @ R.T
@@ -124,6 +139,7 @@ def linearise(state: State, target: Target) -> tuple[FloatArray, Jacobians]:
         to_point, to_direction = by_point @ R, by_direction @ R
         by_board.append(to_point @ d_axis_board + to_direction @ d_along_board)
         by_rod.append(to_point @ d_axis_rod + to_direction @ d_along_rod)
+        by_warp.append(to_point @ d_axis_warp)
         by_turn = -by_point @ cross_matrix(point - T) - by_direction @ cross_matrix(direction)
         d_pose = _hstack(by_turn, by_point)
         block = np.zeros((*pixel.shape, len(calibration.parameters)))
@@ -134,7 +150,8 @@ def linearise(state: State, target: Target) -> tuple[FloatArray, Jacobians]:
             block[..., count : 2 * count], block[..., 2 * count :] = d_intrinsics, d_pose
         by_calibration.append(block)
         pixels.append(pixel)
-    jacobians = Jacobians(*(np.concatenate(p, -2) for p in (by_calibration, by_board, by_rod)))
+    parts = by_calibration, by_board, by_rod, by_warp
+    jacobians = Jacobians(*(np.concatenate(part, -2) for part in parts))
     return np.concatenate(pixels, axis=-1), jacobians
 
 

@@ -30,6 +30,24 @@ def parameters(result: CalibrationResult) -> str:
         )
         for i, axis in enumerate('xyz')
     ]
+    halves, found = result.halves, result.estimate
+    apart = [
+        (
+            words,
+            f'{significant(one.depth_m, 3)} m',
+            f'{significant(1e3 * one.found_m, 3)} mm',
+            f'{significant(1e3 * one.stated_m, 3)} mm',
+        )
+        for words, comparison in (('by lot', halves.by_lot), ('in order', halves.in_order))
+        if comparison
+        for one in comparison.differences
+    ]
+    bent = [
+        (f'along {axis}', f'{1e3 * warp:+.3f} ± {significant(1e3 * one_sigma, 2)} mm')
+        for axis, warp, one_sigma in zip(
+            'xy', found.state.warp_m, found.warp_sigma_m, strict=False
+        )
+    ]
     evidence = [
         (
             f'<b>{escape(e.model)}</b>' if e.model == result.model else escape(e.model),
@@ -43,8 +61,15 @@ def parameters(result: CalibrationResult) -> str:
         'Estimated parameters',
         'Values with one standard deviation. Distortion models are compared by the Bayesian'
         f' information criterion (lower is better); a larger model than'
-        f' {calibration.lens_model.default_model} is chosen only on strong evidence.',
+        f' {calibration.lens_model.default_model} is chosen only on strong evidence.'
+        f' {_sentence(str(halves))}',
         table(('', 'left', 'right'), rows),
         table(('pose', 'right from left'), pose),
+        table(('warp of the board', 'its middle stands out'), bent) if bent else '',
+        table(('halves', 'distance', 'differ by', 'expected'), apart) if apart else '',
         table(('distortion model', 'parameters', 'misfit (chi²)', 'BIC'), evidence),
     )
+
+
+def _sentence(words: str) -> str:
+    return f'{words[0].upper()}{words[1:]}.'

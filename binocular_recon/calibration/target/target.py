@@ -13,6 +13,11 @@ from binocular_recon.camera import FloatArray
 # How a rod may differ from its nominal place, in the order of `Target.sigmas`: the foot's
 # offset along the board's x, y, z (m) and the lean of its top towards x and z (rad).
 DEVIATIONS = ('x', 'y', 'z', 'lean_x', 'lean_z')
+# One standard deviation of how far a board of points is bent, as a share of its longer side:
+# boards of foam or wood are bent by up to 1 %, glass and aluminium less.
+WARP_SHARE = 0.01
+# Points this close to one plane, as a share of the board's longer side, form a flat board.
+_FLAT_SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +35,8 @@ class Target:
     radius_m : float
         Distance of the visible marks from the rods' axes, towards the camera, m: for edges of
         bands the radius of the rods.
+    warp_sigma_m : float
+        One standard deviation of both parts of a board's warp (`bumps`), m; 0 = flat.
 
     """
 
@@ -37,6 +44,7 @@ class Target:
     heights_m: FloatArray
     sigmas: FloatArray
     radius_m: float = 0.0
+    warp_sigma_m: float = 0.0
 
     @classmethod
     def from_rods(cls, board: RodBoard) -> Target:
@@ -56,8 +64,15 @@ class Target:
 
     @classmethod
     def from_points(cls, points_m: FloatArray) -> Target:
-        """Return exactly known points, (N, 3) m in the board frame, as a target."""
-        return cls(np.asarray(points_m, np.float64), np.zeros(1), np.zeros(5))
+        """Return points of a board, (N, 3) m in the board frame, as a target.
+
+        They are exact but for a warp of the whole board, if they lie in a plane z = constant.
+        """
+        points = np.asarray(points_m, np.float64)
+        width, height, thickness = np.ptp(points, axis=0)
+        side = max(width, height)
+        warp = WARP_SHARE * side if thickness <= _FLAT_SHARE * side else 0.0
+        return cls(points, np.zeros(1), np.zeros(5), warp_sigma_m=float(warp))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -70,22 +85,44 @@ class Target:
         return len(self.heights_m) > 1
 
     @property
+    def bends(self) -> bool:
+        """Whether the board may be warped."""
+        return self.warp_sigma_m > 0
+
+    @property
+    def bumps(self) -> FloatArray:
+        """Shapes of a board's warp, (R, 2): displacement along z of each point.
+
+        1 - x'^2 and 1 - y'^2, with x' and y' from -1 to 1 over the board; the warp's two parts
+        say by how many metres the middle then stands out. Source: mrcal's ``calobject_warp``.
+        """
+        low, high = self.anchors_m[:, :2].min(axis=0), self.anchors_m[:, :2].max(axis=0)
+        half = np.maximum((high - low) / 2, np.finfo(np.float64).tiny)
+        bumps: FloatArray = 1 - ((self.anchors_m[:, :2] - (low + high) / 2) / half) ** 2
+        return bumps
+
+    @property
     def nominal_m(self) -> FloatArray:
         """Marks of exactly placed rods, (R, M, 3) float64, board frame, m."""
         marks, _ = self.marks(np.zeros((len(self.anchors_m), 5)))
         return marks
 
     def exact(self) -> Target:
-        """Return the target as the planar method takes it: exact rods without thickness."""
+        """Return the target as the planar method takes it: exact, without thickness or warp."""
         return Target(self.anchors_m, self.heights_m, np.zeros(5))
 
-    def marks(self, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the marks on the axes of displaced rods.
+    def marks(
+        self, deviations: FloatArray, warp_m: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the marks on the axes of displaced rods, or the points of a warped board.
 
         Parameters
         ----------
         deviations : (..., R, 5) float64
             Displacement of each rod, in the order of ``DEVIATIONS``.
+        warp_m : (2,) float64, optional
+            How far the board's middle stands out, m, by each of `bumps`; nothing on a board that
+            does not bend.
 
         Returns
         -------
@@ -100,4 +137,6 @@ class Target:
         directions = lean / np.linalg.norm(lean, axis=-1, keepdims=True)
         feet = self.anchors_m + deviations[..., :3]
         marks = feet[..., None, :] + self.heights_m[:, None] * directions[..., None, :]
+        if self.bends and warp_m is not None:
+            marks[..., 2] += (self.bumps @ warp_m)[:, None]
         return marks, directions

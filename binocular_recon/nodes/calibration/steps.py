@@ -116,10 +116,11 @@ def describe_result(result: CalibrationResult) -> str:
     calibration, sigma = result.calibration, result.sigma
     depth_mm = 1e3 * result.depth_sigma_m(15.0)
     left_out = '; '.join(f'{board.name} left out: {board.reason}' for board in result.rejected)
+    doubt = f'; {result.halves.warning}' if result.halves.warning else ''
     advice = f'; next: {result.advice[0]}' if result.advice else ''
     return (
         f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
         f' baseline {1e3 * calibration.baseline_m:.1f} +-'
         f' {significant(1e3 * sigma["baseline_m"], 2)} mm, depth sigma {depth_mm:.0f} mm at 15 m'
-        f'{"; " + left_out if left_out else ""}{advice}'
+        f'{"; " + left_out if left_out else ""}{doubt}{advice}'
     )
