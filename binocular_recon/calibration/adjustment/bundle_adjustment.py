@@ -166,8 +166,9 @@ def cost(problem: Problem, state: State) -> float:
     prior, _ = _calibration_prior(state.calibration)
     values = _parameters(state.calibration)
     warp = problem.warp_information
-    known = values @ prior @ values + warp @ state.warp_m[: len(warp)] ** 2
-    return float(_loss(residuals).sum() + _loss(rods).sum() + 0.5 * known)
+    bent = 0.5 * warp @ state.warp_m[: len(warp)] ** 2
+    known = 0.5 * values @ prior @ values
+    return float(_loss(residuals).sum() + _loss(rods).sum() + known + bent)
 
 
 def normal_equations(problem: Problem, state: State) -> NormalEquations:

@@ -113,7 +113,8 @@ def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert calibrate('--points', CHESSBOARD, '--output', tmp_path) == 0
     assert 'taken to be 640x480' in capsys.readouterr().out
     content = json.loads((tmp_path / 'calibration.json').read_text())
-    assert content['rms_px'] == pytest.approx(0.215, rel=0.02)
+    # 0.215 px with the board taken as flat
+    assert content['rms_px'] == pytest.approx(0.208, rel=0.01)
     assert content['baseline_m'] == pytest.approx(0.0832, rel=0.02)
     size = ('--image-size', '644x482')
     assert calibrate('--points', CHESSBOARD, *size, '--output', tmp_path) == 0
