@@ -30,11 +30,12 @@ from binocular_recon.number_text import significant
 
 # Each half must have the boards of a calibration.
 LEAST_BOARDS = 2 * MIN_BOARDS
-# Ways to split the boards by lot, and the ratio that at most one in 200 calibrations exceeds
-# where everything is as modelled (simulated: rods and points, 6 to 40 boards).
-LOTS, LOT_LIMIT = 4, 1.5
+# Ways to split the boards by lot, and the ratio that at most one in 100 calibrations exceeds
+# where everything is as modelled (simulated: rods and points, 6 to 20 boards); the second limit is
+# that of fewer than 11 boards, whose halves are less linear and have fewer directions.
+LOTS, LOT_LIMIT, FEW_LIMIT, FEW_BOARDS = 4, 1.5, 1.75, 11
 # For the only split in order of capture: chance by the distribution of chi^2. Its halves may be
-# far from balanced, and what is then not linear makes it one in 200 as well (simulated too).
+# far from balanced, and what is then not linear makes it up to one in 200 (simulated too).
 _ORDER_CHANCE = 0.001
 # Depths at which halves are compared: from the nearest to the farthest boards.
 _DEPTH_QUANTILES = (0.05, 0.5, 0.95)
@@ -77,7 +78,7 @@ class Comparison:
         field of view, chi^2 = d^T S^-1 d over the principal directions of S that count; ratio^2
         is the sum of chi^2 over the number of directions.
     limit : float
-        The ratio that at most one in 200 calibrations exceeds where everything is as modelled.
+        The ratio that at most one in 100 calibrations exceeds where everything is as modelled.
     differences : tuple of DepthDifference
         At the nearest, middle and farthest boards.
 
@@ -224,10 +225,11 @@ def compare_halves(found: Estimate) -> SplitHalves:
     variance = np.einsum('ni,ij,nj->n', derivatives, found.covariance, derivatives)
     by_lot, _ = _ratio(lots, np.sqrt(variance), _LOT_SHARE)
     in_order, directions = _ratio(order, np.sqrt(variance), _ORDER_SHARE)
+    lot_limit = LOT_LIMIT if count >= FEW_BOARDS else FEW_LIMIT
     order_limit = float(np.sqrt(special.chdtri(directions, _ORDER_CHANCE) / directions))
     return SplitHalves(
         sizes,
-        Comparison(LOTS, by_lot, LOT_LIMIT, _differences(lots, points[:, 2])),
+        Comparison(LOTS, by_lot, lot_limit, _differences(lots, points[:, 2])),
         Comparison(1, in_order, order_limit, _differences(order, points[:, 2])),
     )
 

@@ -132,6 +132,7 @@ def test_halves_agree_where_everything_is_as_modelled(
         assert halves.by_lot and halves.in_order
         assert halves.factor == 1.0 and not halves.warning
         assert 0.4 < halves.by_lot.ratio < 1.5
+        assert halves.by_lot.limit == (1.75 if sum(halves.boards) < 11 else 1.5)
         assert halves.in_order.ratio < halves.in_order.limit < 3.3
         ratios.append(halves.by_lot.ratio)
     assert 0.6 < rms(ratios) < 1.3
