@@ -125,8 +125,12 @@ def reconstruct_bag(
 
     """
     with Bag(source.bag) as bag:
-        rig = read_rig(source.calibration) if source.calibration else None
         topics = _topics(bag, source)
+        rig = (
+            read_rig(source.calibration, rectified=topics.rectified)
+            if source.calibration
+            else None
+        )
         stereo = StereoBag(bag, topics, rig, tolerance_ns=source.tolerance_ns)
         facts = {'bag': str(source.bag), **topics._asdict()}
         results = ResultFolder(output, facts, formats=formats)
@@ -184,7 +188,7 @@ def _reconstruct(
     *,
     rectify: bool,
 ) -> None:
-    chain, rig, warned = None, None, False
+    chain, rig, warned, said = None, None, False, set[str]()
     count = -(-stereo.expected // source.every)
     with ProgressBar(min(count, source.max_frames or count), 'frames') as progress:
         for pair in itertools.islice(stereo, 0, None, source.every):
@@ -192,6 +196,11 @@ def _reconstruct(
                 _prepare(config, report)
             if chain is None or pair.rig is not rig:
                 chain, rig = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha), pair.rig
+                remarks = [*pair.rig.notices, *(f'warning: {text}' for text in pair.rig.warnings)]
+                for text in remarks:
+                    if text not in said:
+                        report(text)
+                said.update(remarks)
                 if source.near_m is not None:
                     chain.search(range_of_depths(source.near_m, source.far_m, chain.rig))
             start = time.perf_counter()

@@ -180,7 +180,18 @@ class ResultFolder:
         return (
             f'{frames} in {self.folder}: {self.matched:.1%} of the pixels measured, {density:.1%}'
             f' with a disparity; points from {low:.2f} to {high:.2f} m (median {median:.2f} m),'
-            f' {seconds:.2f} s per frame'
+            f' {seconds:.2f} s per frame{self._scale()}'
+        )
+
+    def _scale(self) -> str:
+        """Return what all depths depend on, for the sentence."""
+        if self._rig is None:
+            return ''
+        near, far = self._searched_m
+        reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
+        return (
+            f'; baseline {self._rig.baseline_m:.4g} m, focal length {self._rig.focal_px:.0f} px,'
+            f' searched from {near:.3g} m to {reach}'
         )
 
 

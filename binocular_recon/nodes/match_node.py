@@ -59,11 +59,12 @@ class MatchNode(FrameNode):
         self, left: Image, right: Image, left_info: CameraInfo, right_info: CameraInfo
     ) -> None:
         """Publish the disparities of one pair."""
-        rig = self.rig(left_info, right_info)
+        images = read_image(left, 'left image').image, read_image(right, 'right image').image
+        rig = self.rig(left_info, right_info, images[0], rectified=True)
         greys, exposed = [], True
-        for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
-            grey = to_grey(read_image(message, f'{side} image').image)
-            check_size(grey, camera.size, side)
+        for image, side in zip(images, ('left', 'right'), strict=True):
+            check_size(image, rig.left.size, side)
+            grey = to_grey(image)
             exposed = self._warn_of_bad_exposure(grey, side) and exposed
             mark_empty(grey)
             greys.append(grey)

@@ -89,9 +89,9 @@ class WlsFilterNode(FrameNode):
         confidence: Image | None,
     ) -> None:
         """Publish the outputs that somebody subscribes to."""
-        rig = self.rig(left_info, right_info)
-        measured = read_disparity(disparity, rig)
         image = read_image(left, 'left image').image
+        rig = self.rig(left_info, right_info, image, rectified=True)
+        measured = read_disparity(disparity, rig)
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
         guide = to_grey(image)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
+from binocular_recon.camera_checks import scale_between
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
 
@@ -41,6 +42,9 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
     map_x, map_y = module.initUndistortRectifyMap(
         camera.K, camera.D, camera.R, camera.P[:, :3], camera.size, cv2.CV_32FC1
     )
+    skew = camera.K[0, 1] / camera.K[1, 1]  # OpenCV leaves it out
+    if skew:
+        map_x += np.float32(skew) * (map_y - np.float32(camera.K[1, 2]))
     return map_x, map_y
 
 
@@ -161,7 +165,7 @@ def check_size(image: Image, size: tuple[int, int], side: str) -> None:
     if (width, height) != size:
         raise ImageError(
             f'{side} image is {width}x{height} px, its calibration is for {size[0]}x{size[1]};'
-            ' use the calibration of this resolution'
+            f' {scale_between((width, height), size)}'
         )
 
 

@@ -12,7 +12,11 @@ from binocular_recon.errors import BagError, CalibrationError
 from binocular_recon.images import Image
 from binocular_recon.io.bags.reader import Bag, Topic, decode
 from binocular_recon.io.bags.stereo_topics import StereoTopics
-from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
+from binocular_recon.io.messages.camera_infos import (
+    calibration_content,
+    rig_from_messages,
+    states_size,
+)
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.pairing import Synchronizer
 
@@ -85,7 +89,8 @@ class StereoBag:
         *,
         tolerance_ns: int = 0,
     ) -> None:
-        self._bag, self._rig = bag, rig
+        self._bag, self._rig, self._rectified = bag, rig, topics.rectified
+        self._size: tuple[int, int] | None = None
         recorded = {topic.name: topic for topic in bag.topics}
         self._images = [recorded[name] for name in topics.images]
         self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
@@ -115,7 +120,7 @@ class StereoBag:
 
         """
         infos = self._first_infos()
-        rig: StereoRig | None = self._rig or rig_from_messages(*infos)
+        rig: StereoRig | None = self._rig or self._rig_of(infos)
         for left, right in self._paired(infos):
             self._pairs += 1
             # those of the later image: by then the infos of both cameras have changed
@@ -147,9 +152,18 @@ class StereoBag:
         text, needed_s = mismatch
         return f'{text}; pair them with --approximate-sync-tolerance-seconds {needed_s:g}'
 
+    def _rig_of(self, infos: tuple[Any, ...]) -> StereoRig:
+        """Return the rig of camera infos; sizes that they do not state are those of an image."""
+        if self._size is None and not all(map(states_size, infos)):
+            message = next((message for _, message in self._decoded(self._images[:1])), None)
+            if message is not None:
+                height, width = read_image(message, 'left image').image.shape[:2]
+                self._size = width, height
+        return rig_from_messages(*infos, size=self._size, rectified=self._rectified)
+
     def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
         try:
-            return rig_from_messages(*infos)
+            return self._rig_of(infos)
         except CalibrationError as error:
             self._bag.note(f'images with unusable camera infos are left out: {error}')
             return None

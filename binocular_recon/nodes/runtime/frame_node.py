@@ -68,22 +68,39 @@ class FrameNode(BaseNode):
         """Tell whether inputs are to be received now."""
         return self.wanted(*self._outputs)
 
-    def rig(self, left_info: Any, right_info: Any) -> StereoRig:
-        """Return the rig of two CameraInfos; it is made again only when they change."""
-        key = calibration_content(left_info), calibration_content(right_info)
+    def rig(
+        self, left_info: Any, right_info: Any, image: Any, *, rectified: bool = False
+    ) -> StereoRig:
+        """Return the rig of two CameraInfos; it is made again only when they change.
+
+        The size of ``image``, an array, is that of infos which state none. Of ``rectified`` images
+        only P counts.
+        """
+        size = image.shape[1], image.shape[0]
+        key = calibration_content(left_info), calibration_content(right_info), size
         if self._rig is None or self._rig[0] != key:
             self._rig = None
-            self._rig = key, rig_from_messages(left_info, right_info)
-            self.report_rig(self._rig[1])
+            rig = rig_from_messages(left_info, right_info, size=size, rectified=rectified)
+            self._rig = key, rig
+            self.report_rig(rig)
+        self.warn_of_rig(self._rig[1])
         return self._rig[1]
 
     def report_rig(self, rig: StereoRig) -> None:
-        """Show the calibration in use in the diagnostics."""
+        """Show the calibration in use in the diagnostics, and log once what was read otherwise."""
         self.health.state(
             'calibration',
             f'{rig.left.width}x{rig.left.height} px, f {rig.focal_px:.2f} px, baseline'
             f' {rig.baseline_m:.4f} m, cx_left - cx_right {rig.disparity_offset_px:.2f} px',
         )
+        self.health.state('calibration read otherwise', '; '.join(rig.notices))
+        for notice in rig.notices:
+            self.get_logger().info(notice)
+
+    def warn_of_rig(self, rig: StereoRig) -> None:
+        """Warn while frames are processed with a calibration that is probably wrong."""
+        for warning in rig.warnings:
+            self.health.warning(warning)
 
     def update_subscriptions(self) -> None:
         """Receive the inputs while they are needed, and only then."""
