@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.camera_checks import (
+from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_checks import (
     baseline_warnings,
     check_baseline,
     check_matrices,
     known_lens,
     resolution_warning,
 )
-from binocular_recon.errors import CalibrationError
 from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.registry import LENSES
 

@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # modules of a folder may stand in several rooms, some below its subfolders and some above.
 ROOMS = [
     {'errors', 'options', '_lazy', '_kernel_cache', 'rotations', 'lenses'},
-    {'config', 'camera', 'camera_checks', 'camera_reading', '_jit', '_simd', 'machine'},
+    {'inputs', 'config', 'camera', '_jit', '_simd', 'machine'},
     {'images', 'pairing'},
     {'stereo.rectification', 'stereo.confidence', 'stereo.validity', 'stereo._validity_kernels'},
     {'stereo.holes'},

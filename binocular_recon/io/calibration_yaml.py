@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
-from binocular_recon.camera_reading import camera_of_image
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.files import complete_file
 

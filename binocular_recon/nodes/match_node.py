@@ -13,6 +13,8 @@ from stereo_msgs.msg import DisparityImage
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
+from binocular_recon.inputs.levels import LevelTracker
+from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.messages.disparities import fill_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
@@ -40,11 +42,12 @@ class MatchNode(FrameNode):
         Input('right/camera_info', CameraInfo),
     )
     OUTPUTS = (Output('confidence', Image), Output('disparity', DisparityImage))
-    LIVE = (PresetOptions, MatchConfig, DepthBoundOptions)
+    LIVE = (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig)
 
     def __init__(self) -> None:
         super().__init__()
         self._range = RangeTracker()
+        self._levels = LevelTracker()
         self.prepare()
         self.start()
 
@@ -61,10 +64,12 @@ class MatchNode(FrameNode):
         """Publish the disparities of one pair."""
         images = read_image(left, 'left image').image, read_image(right, 'right image').image
         rig = self.rig(left_info, right_info, images[0], rectified=True)
+        self._levels.config = self.options.of(ImageConfig)
+        levels = self._levels.update(*images)
         greys, exposed = [], True
-        for image, side in zip(images, ('left', 'right'), strict=True):
+        for image, level, side in zip(images, levels, ('left', 'right'), strict=True):
             check_size(image, rig.left.size, side)
-            grey = to_grey(image)
+            grey = to_grey(image, level)
             exposed = self._warn_of_bad_exposure(grey, side) and exposed
             mark_empty(grey)
             greys.append(grey)

@@ -11,6 +11,7 @@ import numpy as np
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, mark_empty, to_grey
+from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
@@ -38,6 +39,8 @@ class Reconstruction:
         Metric points in the left rectified frame.
     range : RangeChoice
         The disparities that were searched, and the warning if a given range is too small.
+    levels : Levels
+        Black and white of the left image.
 
     """
 
@@ -47,6 +50,7 @@ class Reconstruction:
     filtered: Filtered
     cloud: Cloud
     range: RangeChoice
+    levels: Levels = EIGHT_BIT
 
 
 class Chain:
@@ -75,6 +79,7 @@ class Chain:
     ) -> None:
         self.config = config
         self._filter = DisparityFilter(config.filter)
+        self._levels = LevelTracker(config.images)
         self._count = itertools.count()
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
@@ -101,6 +106,7 @@ class Chain:
             self._filter,
             infinity_px=self.rig.disparity_offset_px,
             check_range=next(self._count) % CHECK_EVERY == 0,
+            levels=self._levels,
         )
         filtered = found.filtered
         cloud = triangulate(  # eq. 16-18
@@ -110,7 +116,9 @@ class Chain:
             self.rig,
             self.config.cloud,
         )
-        return Reconstruction(left, right, found.matched, filtered, cloud, found.range)
+        return Reconstruction(
+            left, right, found.matched, filtered, cloud, found.range, found.levels
+        )
 
     def search(self, disparities: SearchRange) -> None:
         """Search these disparities from now on, instead of those in the options."""
@@ -152,12 +160,15 @@ class DisparityEstimate:
         Dense disparity with its standard deviation and validity.
     range : RangeChoice
         The disparities that were searched, and the warning if a given range is too small.
+    levels : Levels
+        Black and white of the left image.
 
     """
 
     matched: Match
     filtered: Filtered
     range: RangeChoice
+    levels: Levels = EIGHT_BIT
 
 
 def estimate_disparity(
@@ -168,6 +179,7 @@ def estimate_disparity(
     *,
     infinity_px: float | None = None,
     check_range: bool = True,
+    levels: LevelTracker | None = None,
 ) -> DisparityEstimate:
     """Match a rectified pair, and filter its disparities into a dense map.
 
@@ -183,6 +195,8 @@ def estimate_disparity(
         Disparity of a point at infinity, if the rig is known.
     check_range : bool
         Whether to check that a given search range is large enough.
+    levels : LevelTracker, optional
+        Black and white of a stream; its own options apply, not those in ``config``.
 
     Raises
     ------
@@ -190,7 +204,8 @@ def estimate_disparity(
         If the sizes or dtypes do not fit.
 
     """
-    left_grey, right_grey = to_grey(left), to_grey(right)
+    found = (levels or LevelTracker(config.images)).update(left, right)
+    left_grey, right_grey = to_grey(left, found[0]), to_grey(right, found[1])
     mark_empty(left_grey)
     mark_empty(right_grey)
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
@@ -206,4 +221,4 @@ def estimate_disparity(
         limits_px=search.limits_px,
         reasons=matched.validity,
     )
-    return DisparityEstimate(matched, filtered, chosen)
+    return DisparityEstimate(matched, filtered, chosen, found[0])

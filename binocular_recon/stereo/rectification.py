@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
-from binocular_recon.camera_checks import scale_between
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.inputs.camera_checks import scale_between
 
 Map = npt.NDArray[np.float32]
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import pytest
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.camera_reading import camera_of_image
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_reading import camera_of_image
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 D8 = np.array([0.1, -0.2, 1e-3, 2e-3, 0.03, 0.4, 0.05, 0.06])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.camera_reading import camera_of_image
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.messages.images import assign_array
 
 
