@@ -28,6 +28,8 @@ ROOMS = [
     {
         'stereo.point_covariance',
         'stereo.range_tracker',
+        'stereo.row_check',
+        'stereo.diagnosis',
         'stereo.search_range',
         'stereo.triangulation',
         'stereo._triangulation_kernels',

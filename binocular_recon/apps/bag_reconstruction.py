@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -151,7 +152,7 @@ def reconstruct_bag(
     sentence = results.sentence()
     if stereo.unpaired:
         sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
-    warning = few_matched_warning(results.matched)
+    warning = few_matched_warning(results.matched, results.cause)
     if results.frames and warning:
         report(f'warning: {warning}')
     return sentence
@@ -218,12 +219,21 @@ def _reconstruct(
                 if warning and not warned:
                     warned = True
                     report(f'warning: {warning}')
+                for text in reconstruction.findings.warnings:
+                    if _kind(text) not in said:
+                        said.add(_kind(text))
+                        report(f'warning: {text}')
                 if reconstruction.range.outside_share > MOST_OUTSIDE:
                     results.refuse(warning)
                 results.add(pair.stamp_ns, pair.rig, reconstruction, seconds)
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
+
+
+def _kind(text: str) -> str:
+    """Return what warnings have in common that differ in their numbers only."""
+    return re.sub(r'\d+(\.\d+)?', '#', text)
 
 
 def _searched(search: SearchRange, rig: StereoRig) -> str:
@@ -249,7 +259,7 @@ def _raise_problems(bag: Bag, results: ResultFolder, least_matched: float) -> No
     elif results.frames and results.matched < least_matched:
         problems.append(
             f'only {results.matched:.1%} of the pixels could be matched, at least'
-            f' {least_matched:.0%} are expected; {REMEDY}, or accept the result'
+            f' {least_matched:.0%} are expected; {results.cause or REMEDY}, or accept the result'
             ' (--least-matched 0)'
         )
     if problems:

@@ -48,6 +48,8 @@ class ResultFolder:
         Stamp and reason of each pair that could not be reconstructed.
     refused : list of str
         Why frames that are written must not be relied on.
+    cause : str
+        Why few pixels could be matched, if that is known.
 
     Raises
     ------
@@ -71,6 +73,7 @@ class ResultFolder:
         self.frames: list[dict[str, Any]] = []
         self.left_out: list[dict[str, Any]] = []
         self.refused: list[str] = []
+        self.cause = ''
         self._source = source
         self._formats = [
             spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
@@ -103,6 +106,12 @@ class ResultFolder:
             'seconds': round(seconds, 4),
             'points': int(np.count_nonzero(points)),
         }
+        findings = reconstruction.findings
+        self.cause = self.cause or findings.cause
+        if findings.rows.points:
+            frame['row_offset_px'] = round(findings.rows.median_px, 3)
+        if findings.warnings or findings.cause:
+            frame['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
         if reconstruction.range.warning:
             frame['warning'] = reconstruction.range.warning
         if self._rig is None:

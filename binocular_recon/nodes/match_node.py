@@ -21,14 +21,12 @@ from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
 from binocular_recon.stereo.matching import disparity_step_px, match
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
-from binocular_recon.stereo.search_range import check_order, range_of_depths
-from binocular_recon.stereo.validity import FEW_MATCHED, few_matched_warning
-
-# Share of white pixels above which the node warns of the exposure.
-_SATURATED_SHARE = 0.25
+from binocular_recon.stereo.search_range import range_of_depths
+from binocular_recon.stereo.validity import few_matched_warning
 
 
 class MatchNode(FrameNode):
@@ -48,6 +46,7 @@ class MatchNode(FrameNode):
         super().__init__()
         self._range = RangeTracker()
         self._levels = LevelTracker()
+        self._check = PairCheck()
         self.prepare()
         self.start()
 
@@ -76,10 +75,11 @@ class MatchNode(FrameNode):
         left_grey, right_grey = greys
         config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
-        share = matched.matched_share
-        self._report_share(share, warn=exposed)
-        if share < FEW_MATCHED and exposed:
-            check_order(left_grey, right_grey, config, rig.disparity_offset_px)
+        self.health.state('matched', f'{matched.matched_share:.1%} of the pixels')
+        findings = self._check.update(
+            left_grey, right_grey, matched, config, rig.disparity_offset_px
+        )
+        self._report_findings(findings, matched.matched_share, warn=exposed)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)
@@ -118,27 +118,26 @@ class MatchNode(FrameNode):
             self.health.warning(found.warning)
         return found.search.applied_to(config)
 
-    def _report_share(self, share: float, *, warn: bool) -> None:
-        self.health.state('matched', f'{share:.1%} of the pixels')
-        warning = few_matched_warning(share)
-        if warning and warn:
-            self.health.warning(warning)
+    def _report_findings(self, findings: Findings, share: float, *, warn: bool) -> None:
+        if findings.rows.points:
+            text = f'{findings.rows.median_px:.2f} px (median of {findings.rows.points} matches)'
+            self.health.state('row offset', text)
+        warnings = *findings.warnings, few_matched_warning(share, findings.cause)
+        for warning in filter(None, warnings):
+            if warn:
+                self.health.warning(warning)
 
     def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
         """Warn if few pixels can be matched, and say why; return whether all is well."""
-        missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
+        missing = np.mean(np.isnan(grey))
+        text = image_fault(grey)
         if missing > 0:
             text = (
                 f'has no data (NaN) in {100 * missing:.1f} % of its pixels; they get no disparity'
             )
-        elif grey.min() == grey.max():
-            text = f'is uniform (grey level {grey[0, 0]:.0f}); check the lens cap and the exposure'
-        elif white > _SATURATED_SHARE:
-            text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
-        else:
-            return True
-        self.health.warning(f'{side} image {text}')
-        return False
+        if text:
+            self.health.warning(f'{side} image {text}')
+        return not text
 
 
 def main() -> int:

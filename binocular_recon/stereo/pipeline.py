@@ -12,12 +12,12 @@ from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
+from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.rectification import Rectifier, check_size
-from binocular_recon.stereo.search_range import RangeChoice, SearchRange, check_order, choose_range
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
-from binocular_recon.stereo.validity import FEW_MATCHED
 
 # A given search range is checked on the first frame and then on every tenth.
 CHECK_EVERY = 10
@@ -41,6 +41,8 @@ class Reconstruction:
         The disparities that were searched, and the warning if a given range is too small.
     levels : Levels
         Black and white of the left image.
+    findings : Findings
+        What is wrong with the pair, or with the last one of the stream that was examined.
 
     """
 
@@ -51,6 +53,7 @@ class Reconstruction:
     cloud: Cloud
     range: RangeChoice
     levels: Levels = EIGHT_BIT
+    findings: Findings = NOTHING
 
 
 class Chain:
@@ -80,6 +83,7 @@ class Chain:
         self.config = config
         self._filter = DisparityFilter(config.filter)
         self._levels = LevelTracker(config.images)
+        self._check = PairCheck()
         self._count = itertools.count()
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
@@ -107,6 +111,7 @@ class Chain:
             infinity_px=self.rig.disparity_offset_px,
             check_range=next(self._count) % CHECK_EVERY == 0,
             levels=self._levels,
+            check=self._check,
         )
         filtered = found.filtered
         cloud = triangulate(  # eq. 16-18
@@ -117,7 +122,14 @@ class Chain:
             self.config.cloud,
         )
         return Reconstruction(
-            left, right, found.matched, filtered, cloud, found.range, found.levels
+            left,
+            right,
+            found.matched,
+            filtered,
+            cloud,
+            found.range,
+            found.levels,
+            found.findings,
         )
 
     def search(self, disparities: SearchRange) -> None:
@@ -162,6 +174,8 @@ class DisparityEstimate:
         The disparities that were searched, and the warning if a given range is too small.
     levels : Levels
         Black and white of the left image.
+    findings : Findings
+        What is wrong with the pair, or with the last one of the stream that was examined.
 
     """
 
@@ -169,6 +183,7 @@ class DisparityEstimate:
     filtered: Filtered
     range: RangeChoice
     levels: Levels = EIGHT_BIT
+    findings: Findings = NOTHING
 
 
 def estimate_disparity(
@@ -180,6 +195,7 @@ def estimate_disparity(
     infinity_px: float | None = None,
     check_range: bool = True,
     levels: LevelTracker | None = None,
+    check: PairCheck | None = None,
 ) -> DisparityEstimate:
     """Match a rectified pair, and filter its disparities into a dense map.
 
@@ -197,6 +213,8 @@ def estimate_disparity(
         Whether to check that a given search range is large enough.
     levels : LevelTracker, optional
         Black and white of a stream; its own options apply, not those in ``config``.
+    check : PairCheck, optional
+        What is wrong with the pairs of a stream.
 
     Raises
     ------
@@ -211,8 +229,9 @@ def estimate_disparity(
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
     search = chosen.search
     matched = match(left_grey, right_grey, search.applied_to(config.match))  # eq. 10
-    if matched.matched_share < FEW_MATCHED:
-        check_order(left_grey, right_grey, config.match, infinity_px)
+    findings = (check or PairCheck()).update(
+        left_grey, right_grey, matched, config.match, infinity_px
+    )
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
         matched.disparity_px,
@@ -221,4 +240,4 @@ def estimate_disparity(
         limits_px=search.limits_px,
         reasons=matched.validity,
     )
-    return DisparityEstimate(matched, filtered, chosen, found[0])
+    return DisparityEstimate(matched, filtered, chosen, found[0], findings)
