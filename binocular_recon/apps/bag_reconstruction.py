@@ -9,7 +9,7 @@ import re
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from binocular_recon.apps.output_folder import ResultFolder
@@ -17,6 +17,7 @@ from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BagError, FileError, ImageError
+from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.bags.stereo_bag import StereoBag
 from binocular_recon.io.bags.stereo_topics import (
@@ -61,6 +62,8 @@ class BagInput:
         Passed to `Rectifier`.
     tolerance_ns : int
         Largest difference between the stamps of a pair.
+    pairing : PairingOptions
+        What tells that images belong together.
     every : int
         Reconstruct every Nth pair.
     max_frames : int, optional
@@ -78,6 +81,7 @@ class BagInput:
     calibration: Path | None = None
     alpha: float = -1.0
     tolerance_ns: int = 0
+    pairing: PairingOptions = field(default_factory=PairingOptions)
     every: int = 1
     max_frames: int | None = None
     near_m: float | None = None
@@ -132,7 +136,9 @@ def reconstruct_bag(
             if source.calibration
             else None
         )
-        stereo = StereoBag(bag, topics, rig, tolerance_ns=source.tolerance_ns)
+        stereo = StereoBag(
+            bag, topics, rig, tolerance_ns=source.tolerance_ns, pairing=source.pairing
+        )
         facts = {'bag': str(source.bag), **topics._asdict()}
         results = ResultFolder(output, facts, formats=formats)
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the input of the chain, a part of `config`: how the values of images are read."""
+"""Options of the input, a part of `config`: how images are read, and how they are paired."""
 
 from __future__ import annotations
 
@@ -32,3 +32,32 @@ class ImageConfig(Options):
                 f'black_level must be below white_level, got {self.black_level:g} and'
                 f' {self.white_level:g}; set both'
             )
+
+
+# What decides which messages belong together.
+PAIRINGS = ('stamps', 'arrival')
+
+
+@dataclass(frozen=True)
+class PairingOptions(Options):
+    """Options of which images of the cameras belong together."""
+
+    pairing: str = option(
+        'stamps',
+        'What tells that messages belong together: their stamps, or that they arrive together'
+        ' (for cameras on one hardware trigger whose stamps are of no use)',
+        choices=PAIRINGS,
+    )
+    stamp_offset: float = option(
+        0.0,
+        "Added to the stamps of the right camera's messages, for a clock that differs by a"
+        ' constant; outputs keep the stamps of the left camera',
+        unit='s',
+        minimum=-1e10,
+        maximum=1e10,
+    )
+
+    @property
+    def stamp_offset_ns(self) -> int:
+        """Added to the stamps of the right camera, ns."""
+        return round(self.stamp_offset * 1e9)
