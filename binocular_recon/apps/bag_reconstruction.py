@@ -55,7 +55,7 @@ class BagInput:
     images, infos : (str, str), optional
         Topics of left and right if they do not have the usual names.
     rectified : bool, optional
-        Whether ``images`` are rectified; by default if their name contains ``rect``.
+        Whether ``images`` are rectified; by default as `is_rectified` says.
     calibration : Path, optional
         Folder with left.yaml and right.yaml that replace the recorded camera infos.
     alpha : float

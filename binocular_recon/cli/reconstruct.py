@@ -77,7 +77,7 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         '--rectified',
         action=argparse.BooleanOptionalAction,
         help='whether the images of --left-image and --right-image are rectified (by default if'
-        ' their name contains rect)',
+        ' their name has the word rect)',
     )
     group.add_argument(
         '--calibration',

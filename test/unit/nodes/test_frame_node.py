@@ -187,6 +187,7 @@ def test_what_prevents_frames(
     node.count_publishers = lambda _: 1
     node.health = Mock(silent=lambda: ages_s)
     node._explain_lateness = lambda: too_late
+    node._synchronizer = Synchronizer(['left'], queue_size=5)
     reported = FrameNode.condition(node)
     assert reported[0] == getattr(DiagnosticStatus, level) and text in reported[1]
     assert node.health.log.called == (level != 'OK')
