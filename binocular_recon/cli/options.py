@@ -25,7 +25,8 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
         'bag',
         type=Path,
         metavar='BAG',
-        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file',
+        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file, or one of these as'
+        ' .zstd',
     )
 
 
