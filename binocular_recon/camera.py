@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from binocular_recon.errors import CalibrationError
 from binocular_recon.inputs.camera_checks import (
+    baseline_axis,
     baseline_warnings,
     check_baseline,
     check_matrices,
@@ -189,7 +190,7 @@ class RigCovariance:
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """The two cameras of a rig; their rectified rows correspond.
+    """The two cameras of a rig; their rectified rows correspond, or columns if `turns` is not 0.
 
     Attributes
     ----------
@@ -216,15 +217,6 @@ class StereoRig:
                 f' {self.right.width}x{self.right.height}; both must have the same size'
             )
         check_baseline(self.left.P, self.right.P)
-        left_rows, right_rows = self.left.P[1, 1:3], self.right.P[1, 1:3]
-        if not np.allclose(left_rows, right_rows, atol=0.5) or not np.isclose(
-            self.left.P[0, 0], self.right.P[0, 0], rtol=1e-3
-        ):
-            raise CalibrationError(
-                f'rectified cameras must share fx, fy and cy, got left {self.left.P[0, 0]:g},'
-                f' {left_rows} and right {self.right.P[0, 0]:g}, {right_rows};'
-                ' rectify them as a pair'
-            )
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -240,16 +232,35 @@ class StereoRig:
         return (*texts, *baseline_warnings(self.left.P, self.right.P))
 
     @property
+    def turns(self) -> int:
+        """Quarter turns, counter-clockwise, that bring the baseline of the images into rows.
+
+        0 unless one camera stands above the other: 1 if the right one is below, else -1. Matching
+        works on images turned like this; disparities are differences of columns there.
+        """
+        if baseline_axis(self.left.P, self.right.P) == 0:
+            return 0
+        return 1 if self.left.P[1, 3] > self.right.P[1, 3] else -1
+
+    @property
     def baseline_m(self) -> float:
         """Distance between the optical centres, m."""
-        return float((self.left.P[0, 3] - self.right.P[0, 3]) / self.right.P[0, 0])
+        along = abs(self.turns)
+        shift = self.left.P[along, 3] - self.right.P[along, 3]
+        return float(abs(shift) / self.right.P[along, along])
 
     @property
     def focal_px(self) -> float:
-        """Common horizontal focal length of the rectified cameras, px."""
-        return float(self.right.P[0, 0])
+        """Common focal length of the rectified cameras along the baseline, px."""
+        along = abs(self.turns)
+        return float(self.right.P[along, along])
 
     @property
     def disparity_offset_px(self) -> float:
-        """``cx_left - cx_right``: the raw disparity x_left - x_right of a point at infinity."""
-        return float(self.left.P[0, 2] - self.right.P[0, 2])
+        """``cx_left - cx_right``: the raw disparity x_left - x_right of a point at infinity.
+
+        In the images turned by `turns`.
+        """
+        along = abs(self.turns)
+        offset = float(self.left.P[along, 2] - self.right.P[along, 2])
+        return -offset if self.turns < 0 else offset

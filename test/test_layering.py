@@ -29,6 +29,7 @@ ROOMS = [
         'stereo.point_covariance',
         'stereo.range_tracker',
         'stereo.row_check',
+        'stereo.orientation',
         'stereo.diagnosis',
         'stereo.search_range',
         'stereo.triangulation',

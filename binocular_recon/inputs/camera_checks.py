@@ -179,28 +179,49 @@ def scale_between(size: tuple[int, int], calibrated: tuple[int, int]) -> str:
     return 'use the calibration of this resolution; the sides differ in scale, so it was cropped'
 
 
+def baseline_axis(left_P: FloatArray, right_P: FloatArray) -> int:
+    """Return along which axis of the image the baseline lies: 0 = rows, 1 = columns."""
+    across, down = np.abs(left_P[:2, 3] - right_P[:2, 3])
+    return int(down > across)
+
+
 def check_baseline(left_P: FloatArray, right_P: FloatArray) -> None:
-    """Raise a CalibrationError if the P (3, 4) of two cameras have no baseline along the rows."""
+    """Raise a CalibrationError if the P (3, 4) of two cameras are not those of a rectified pair.
+
+    Their baseline lies along the rows, the right camera on the right; or along the columns.
+    """
     left, right = left_P[:, 3], right_P[:, 3]
-    across, down, ahead = left - right
-    if abs(down) > _MOST_ACROSS * max(abs(across), 1e-9):
-        kind = (
-            'one camera stands above the other, or the rig is turned'
-            if abs(down) > abs(across)
-            else 'the pair is not rectified'
-        )
+    shift = left - right
+    along = baseline_axis(left_P, right_P)
+    if abs(shift[1 - along]) > _MOST_ACROSS * max(abs(shift[along]), 1e-9):
         raise CalibrationError(
-            f'P_right[1, 3] - P_left[1, 3] must be 0, got {-down:g} px m with {-across:g} px m in'
-            f' P[0, 3]: {kind}; rectify so that the baseline lies along rows'
+            f'P_right[1, 3] - P_left[1, 3] is {-shift[1]:g} px m and {-shift[0]:g} px m in'
+            ' P[0, 3]; one must be 0: the pair is not rectified; rectify so that the baseline lies along'
+            ' rows or columns'
         )
-    if max(abs(ahead), abs(left[2])) > _MOST_AHEAD_M:
+    if max(abs(shift[2]), abs(left[2])) > _MOST_AHEAD_M:
         raise CalibrationError(
             f'P[2, 3] is {left[2]:g} m in the left and {right[2]:g} m in the right camera, it must'
             ' be 0; check the order of the values of P'
         )
-    if across > 0:
+    if along == 0:
+        _check_sign(left, right, shift[0] / right_P[0, 0])
+    others = ('fx, fy and cy', 'fx, fy and cx')[along]
+    across = 1 - along
+    sides = left_P[across, [across, 2]], right_P[across, [across, 2]]
+    focal = left_P[along, along], right_P[along, along]
+    if not (np.allclose(*sides, atol=0.5) and math.isclose(*focal, rel_tol=1e-3)):
+        raise CalibrationError(
+            f'rectified cameras must share {others}, got left {focal[0]:g}, {sides[0]} and right'
+            f' {focal[1]:g}, {sides[1]}; rectify them as a pair'
+        )
+
+
+def _check_sign(left: FloatArray, right: FloatArray, baseline_m: float) -> None:
+    """Raise a CalibrationError if the right camera is not on the right."""
+    if baseline_m > 0:
         return
-    if across == 0:
+    if baseline_m == 0:
         why = 'P[0, 3] is the same in both: each was calibrated alone; calibrate as a rig'
     elif left[0]:
         why = (
@@ -212,27 +233,30 @@ def check_baseline(left_P: FloatArray, right_P: FloatArray) -> None:
             f'P_right[0, 3] is {right[0]:g}, it must be -f B, below 0; correct its sign, or'
             ' exchange left and right if the right images show the scene from the left'
         )
-    baseline_m = across / right_P[0, 0]
     raise CalibrationError(f'baseline must be positive, got {baseline_m:g} m: {why}')
 
 
 def baseline_warnings(left_P: FloatArray, right_P: FloatArray) -> Iterator[str]:
     """Yield what is doubtful about the baseline of a rig with these P (3, 4)."""
-    across, down = left_P[:2, 3] - right_P[:2, 3]
-    if abs(down) > _ACROSS * across:
+    along = baseline_axis(left_P, right_P)
+    shift = left_P[:2, 3] - right_P[:2, 3]
+    reach, off = abs(shift[along]), abs(shift[1 - along])
+    if off > _ACROSS * reach:
         yield (
-            f'P[1, 3] of left and right differ by {-down:g} px m, so rows are off by'
-            f' {abs(down / across):.2%} of the disparity; rectify again'
+            f'P[{1 - along}, 3] of left and right differ by {off:g} px m, so'
+            f' {("rows", "columns")[along]} are off by {off / reach:.2%} of the disparity; rectify'
+            ' again'
         )
-    baseline_m = across / right_P[0, 0]
+    baseline_m = reach / right_P[along, along]
     if LEAST_BASELINE_M <= baseline_m <= LARGEST_BASELINE_M:
         return
+    entry = f'P[{along}, 3]'
     if baseline_m > LARGEST_BASELINE_M:
-        remedy = f'if it is in millimetres, divide P[0, 3] by 1000 ({baseline_m / 1000:g} m)'
-    elif LEAST_BASELINE_M <= across <= LARGEST_BASELINE_M:
-        remedy = f'if P[0, 3] is the baseline itself ({across:g}), multiply it by the focal length'
+        remedy = f'if it is in millimetres, divide {entry} by 1000 ({baseline_m / 1000:g} m)'
+    elif LEAST_BASELINE_M <= reach <= LARGEST_BASELINE_M:
+        remedy = f'if {entry} is the baseline itself ({reach:g}), multiply it by the focal length'
     else:
-        remedy = 'check the unit of P[0, 3]'
+        remedy = f'check the unit of {entry}'
     yield (
         f'the baseline is {baseline_m:g} m, outside {LEAST_BASELINE_M:g} to'
         f' {LARGEST_BASELINE_M:g} m: {remedy}; depths are proportional to it'

@@ -17,9 +17,15 @@ from binocular_recon.inputs.options import ImageConfig
 
 # Largest value and white of 16-bit images, by the bits that they hold, and of floating-point ones.
 # White of 10 to 14 bits is that of 8-bit values shifted, whose steps remain whole grey levels.
-_WHITE_16 = ((255, 255), (1023, 1020), (4095, 4080), (16383, 16320), (65535, 65535))
-_WHITE_FLOAT = ((1, 1), *_WHITE_16)
-_LARGEST = {white: float(largest) for largest, white in _WHITE_FLOAT}
+_WHITE_16: tuple[tuple[float, float], ...] = (
+    (255, 255),
+    (1023, 1020),
+    (4095, 4080),
+    (16383, 16320),
+    (65535, 65535),
+)
+_WHITE_FLOAT: tuple[tuple[float, float], ...] = ((1, 1), *_WHITE_16)
+_LARGEST = {white: largest for largest, white in _WHITE_FLOAT}
 # Floating-point images overshoot where they were interpolated: up to this multiple of white.
 _OVERSHOOT = 1.5
 # Brighter or darker pixels than these are ignored: hot ones and single damaged ones.

@@ -23,6 +23,7 @@ from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptio
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
 from binocular_recon.stereo.matching import disparity_step_px, match
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.search_range import range_of_depths
@@ -70,6 +71,7 @@ class MatchNode(FrameNode):
             check_size(image, rig.left.size, side)
             grey = to_grey(image, level)
             exposed = self._warn_of_bad_exposure(grey, side) and exposed
+            grey = turn(grey, rig.turns)
             mark_empty(grey)
             greys.append(grey)
         left_grey, right_grey = greys
@@ -80,6 +82,7 @@ class MatchNode(FrameNode):
             left_grey, right_grey, matched, config, rig.disparity_offset_px
         )
         self._report_findings(findings, matched.matched_share, warn=exposed)
+        matched = turn_back(matched, rig.turns)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)

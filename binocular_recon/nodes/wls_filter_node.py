@@ -33,6 +33,7 @@ from binocular_recon.nodes.runtime.options import (
 )
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -99,14 +100,15 @@ class WlsFilterNode(FrameNode):
             check_size(pixels, rig.left.size, name)
         self._levels.config = self.options.of(ImageConfig)
         (levels,) = self._levels.update(image)
-        guide = to_grey(image, levels)
+        guide = turn(to_grey(image, levels), rig.turns)
         mark_empty(guide)
         filtered = self._current_filter()(
-            measured.disparity_px,
-            _confidence(confidence, measured.disparity_px),
+            turn(measured.disparity_px, rig.turns),
+            turn(_confidence(confidence, measured.disparity_px), rig.turns),
             guide,
             limits_px=measured.limits_px,
         )
+        filtered = turn_back(filtered, rig.turns)
         self.health.state('measured', f'{filtered.measured_share:.1%} of the pixels')
         self.health.state('iterations', str(filtered.iterations))
         self.health.state('estimated error', f'{filtered.error_estimate_px:.4f} px')

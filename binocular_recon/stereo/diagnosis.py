@@ -148,7 +148,7 @@ def explain_few(
         fault = image_fault(grey)
         if fault:
             return f'the {side} image {fault}'
-    causes = (
+    causes: tuple[Callable[[], str], ...] = (
         lambda: _turned(left, right, config, infinity_px or 0.0),
         lambda: _rows_apart(left, right),
         lambda: _interlaced(images),
@@ -223,7 +223,7 @@ def _bytes(image: FloatImage) -> FloatImage:
 def _interlaced(images: dict[str, FloatImage]) -> str:
     """Say that the odd rows of an image were taken at another time than the even ones."""
     for side, grey in images.items():
-        near, far = (np.nanmean(np.abs(grey[step:] - grey[:-step])) for step in (1, 2))
+        near, far = (float(np.nanmean(np.abs(grey[k:] - grey[:-k]))) for k in (1, 2))
         if near > _INTERLACED * far:
             return (
                 f'the {side} image is interlaced: rows next to each other differ by {near:.1f}'

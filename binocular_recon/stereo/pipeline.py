@@ -15,6 +15,7 @@ from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -109,6 +110,7 @@ class Chain:
             self.config,
             self._filter,
             infinity_px=self.rig.disparity_offset_px,
+            turns=self.rig.turns,
             check_range=next(self._count) % CHECK_EVERY == 0,
             levels=self._levels,
             check=self._check,
@@ -193,6 +195,7 @@ def estimate_disparity(
     wls: DisparityFilter | None = None,
     *,
     infinity_px: float | None = None,
+    turns: int = 0,
     check_range: bool = True,
     levels: LevelTracker | None = None,
     check: PairCheck | None = None,
@@ -209,6 +212,8 @@ def estimate_disparity(
         The filter of a stream; its own options apply, not those in ``config``.
     infinity_px : float, optional
         Disparity of a point at infinity, if the rig is known.
+    turns : int
+        `StereoRig.turns`: the pair is matched turned, results are those of the images as given.
     check_range : bool
         Whether to check that a given search range is large enough.
     levels : LevelTracker, optional
@@ -224,6 +229,7 @@ def estimate_disparity(
     """
     found = (levels or LevelTracker(config.images)).update(left, right)
     left_grey, right_grey = to_grey(left, found[0]), to_grey(right, found[1])
+    left_grey, right_grey = turn(left_grey, turns), turn(right_grey, turns)
     mark_empty(left_grey)
     mark_empty(right_grey)
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
@@ -240,4 +246,5 @@ def estimate_disparity(
         limits_px=search.limits_px,
         reasons=matched.validity,
     )
+    matched, filtered = turn_back(matched, turns), turn_back(filtered, turns)
     return DisparityEstimate(matched, filtered, chosen, found[0], findings)

@@ -194,7 +194,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
         inner.append(sides / (sign * (nearest - centres)))
         outer.append(sides / (sign * (farthest - centres)))
     scale = (1 - alpha) * np.max(inner) + alpha * np.min(outer)
-    factors = np.array([[scale, 1, 1, scale], [1, scale, 1, 1], [1, 1, 1, 1]])
+    factors = np.array([[scale, 1, 1, scale], [1, scale, 1, scale], [1, 1, 1, 1]])
     left_camera, right_camera = (
         dataclasses.replace(camera, P=camera.P * factors) for camera in (rig.left, rig.right)
     )

@@ -131,8 +131,8 @@ def test_of_a_rectified_image_only_p_counts() -> None:
         ((0, 0, 0), (400, 0, 0), r'got -0.8 m: P_right\[0, 3\] is 400, it must be -f B, below 0'),
         ((-400, 0, 0), (0, 0, 0), 'got -0.8 m: .*left and right are exchanged; exchange the cam'),
         ((0, 0, 0), (0, 0, 0), 'got 0 m: .*each was calibrated alone; calibrate as a rig'),
-        ((0, 0, 0), (0, -400, 0), 'one camera stands above the other'),
-        ((0, 0, 0), (-400, 30, 0), r'got 30 px m with -400 .* the pair is not rectified'),
+        ((0, 0, 0), (-400, 30, 0), r'is 30 px m and -400 px m in .* the pair is not rectified'),
+        ((0, 0, 0), (30, -400, 0), r'is -400 px m and 30 px m in .* along rows or columns'),
         ((0, 0, 0), (-400, 0, -0.8), r'P\[2, 3\] is 0 m in the left and -0.8 m in the right'),
     ],
 )
@@ -145,6 +145,19 @@ def test_baselines_that_are_none(
     ]
     with pytest.raises(CalibrationError, match=message):
         StereoRig(*cameras)
+
+
+@pytest.mark.parametrize(('ty', 'turns', 'offset'), [(-400.0, 1, -12.0), (400.0, -1, 12.0)])
+def test_one_camera_above_the_other(ty: float, turns: int, offset: float) -> None:
+    P = make_camera().P.copy()
+    P[1, 2:] = 252, ty
+    rig = StereoRig(make_camera(), dataclasses.replace(make_camera(), P=P))
+    assert (rig.turns, rig.disparity_offset_px) == (turns, offset)
+    assert (rig.baseline_m, rig.focal_px) == (0.8, 500.0)
+    assert rig.warnings == ()
+    P[0, 2] += 5
+    with pytest.raises(CalibrationError, match='must share fx, fy and cx, got left 500'):
+        StereoRig(make_camera(), dataclasses.replace(make_camera(), P=P))
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def eight_bit(seed: int = 0) -> Image:
     """Return an image that uses the whole range."""
     noise = np.random.default_rng(seed).uniform(0, 255, (120, 160)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 2)
-    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)
+    return np.asarray(cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U))
 
 
 # Other types that hold the same image, and their white.
@@ -165,7 +165,7 @@ def test_disparities_are_those_of_8_bit(kind: str) -> None:
     convert = SHIFTED[kind] if kind in SHIFTED else SAME[kind][0]
     config = ChainConfig.preset('default', disparity_range=32)
     plain, other = (
-        estimate_disparity(*images, config).filtered.disparity_px
+        estimate_disparity(images[0], images[1], config).filtered.disparity_px
         for images in (
             (made.left, made.right),
             tuple(convert(to_grey(image)) for image in (made.left, made.right)),

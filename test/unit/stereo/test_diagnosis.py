@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -122,11 +123,11 @@ CAUSES: dict[str, tuple[Change, str]] = {
         'the {} image is saturated in .. % of its pixels; shorten the exposure',
     ),
     'defocused': (
-        lambda image: cv2.GaussianBlur(image, (0, 0), 9),
+        lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), 9), np.float32),
         'the {} image is less sharp than the .* one, 0.1. times; focus',
     ),
     'faint': (
-        lambda image: image / 8 + 100,
+        lambda image: np.asarray(image / 8 + 100, np.float32),
         'the {} image has less contrast than the .* one, 0.1. times; set its exposure',
     ),
     'fields': (every_second_row_moved, 'the {} image is interlaced: rows next to each other'),
@@ -175,16 +176,14 @@ def test_what_matches_worse_is_said_though_enough_matches(change: Change, text: 
 def test_a_stream_is_examined_at_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
     from binocular_recon.stereo import diagnosis
 
-    calls = []
-    monkeypatch.setattr(
-        diagnosis, 'measure_rows', lambda *args: calls.append(1) or measure_rows(*args)
-    )
+    counted = Mock(side_effect=measure_rows)
+    monkeypatch.setattr(diagnosis, 'measure_rows', counted)
     matched, check = examine(LEFT, shifted(1.0)(RIGHT))
     warnings = {
         check.update(LEFT, shifted(1.0)(RIGHT), matched, CONFIG).warnings
         for _ in range(2 * EXAMINE_EVERY)
     }
-    assert len(calls) == 2
+    assert counted.call_count == 2
     assert len(warnings) == 1
 
 
