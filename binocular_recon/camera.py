@@ -15,6 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_checks import (
+    baseline_axis,
+    baseline_warnings,
+    check_baseline,
+    check_matrices,
+    known_lens,
+    resolution_warning,
+)
 from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.registry import LENSES
 
@@ -52,8 +60,11 @@ class Camera:
     P : (3, 4) float64
         Projection of rectified points to rectified pixels.
     distortion_model : str
-        A key of `LENSES`: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``. Simulators
-        leave it empty: with ``D`` empty or zero that becomes ``plumb_bob`` without distortion.
+        A key of `LENSES`: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``. Other
+        programs' names of these are replaced. Simulators leave it empty: with ``D`` empty or zero
+        that becomes ``plumb_bob`` without distortion.
+    notices : tuple of str
+        What was read in another way than it is written, for the user.
 
     Raises
     ------
@@ -69,6 +80,7 @@ class Camera:
     R: FloatArray
     P: FloatArray
     distortion_model: str = 'plumb_bob'
+    notices: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Convert the matrices to float64 of the right shapes and check them."""
@@ -81,28 +93,11 @@ class Camera:
             if not np.isfinite(values).all():
                 raise CalibrationError(f'{name} holds values that are not finite; calibrate again')
             object.__setattr__(self, name, values.reshape(shape))
-        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
-            raise CalibrationError(
-                f'camera is not calibrated (fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g} px);'
-                ' calibrate it or give a calibration folder'
-            )
-        if self.P[0, 0] <= 0 or self.P[1, 1] <= 0:
-            raise CalibrationError(
-                f'P is not that of a rectified camera (fx = {self.P[0, 0]:g},'
-                f' fy = {self.P[1, 1]:g} px); calibrate as a stereo rig'
-            )
-        if not self.distortion_model and not self.D.any():
-            object.__setattr__(self, 'distortion_model', 'plumb_bob')
-            object.__setattr__(self, 'D', np.zeros(5))
-        if self.distortion_model not in LENSES:
-            raise CalibrationError(
-                f'distortion model {self.distortion_model!r} is not one of {", ".join(LENSES)}'
-            )
-        if self.D.size not in self.lens.counts:
-            raise CalibrationError(
-                f'{self.distortion_model} takes {" or ".join(map(str, self.lens.counts))}'
-                f' distortion coefficients, got {self.D.size}'
-            )
+        check_matrices(self.K, self.P)
+        model, D, notices = known_lens(self.distortion_model, self.D)
+        object.__setattr__(self, 'distortion_model', model)
+        object.__setattr__(self, 'D', D)
+        object.__setattr__(self, 'notices', (*self.notices, *notices))
         if self.width <= 0 or self.height <= 0:
             raise CalibrationError(f'image size must be positive, got {self.width}x{self.height}')
 
@@ -115,6 +110,12 @@ class Camera:
     def lens(self) -> Lens:
         """Lens model that ``D`` belongs to."""
         return LENSES[self.distortion_model]
+
+    @property
+    def warning(self) -> str:
+        """Why the camera seems to be that of images of another size; else empty."""
+        rectified = np.array_equal(self.K, self.P[:, :3])
+        return resolution_warning(self.size, self.K, rectified=rectified)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +197,7 @@ class RigCovariance:
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """The two cameras of a rig; their rectified rows correspond.
+    """The two cameras of a rig; their rectified rows correspond, or columns if `turns` is not 0.
 
     Attributes
     ----------
@@ -222,32 +223,51 @@ class StereoRig:
                 f'left camera is {self.left.width}x{self.left.height}, right is'
                 f' {self.right.width}x{self.right.height}; both must have the same size'
             )
-        if not self.baseline_m > 0:
-            raise CalibrationError(
-                f'baseline must be positive, got {self.baseline_m:g} m (P_right[0, 3] ='
-                f' {self.right.P[0, 3]:g}); check that left and right are not swapped'
-            )
-        left_rows, right_rows = self.left.P[1, 1:3], self.right.P[1, 1:3]
-        if not np.allclose(left_rows, right_rows, atol=0.5) or not np.isclose(
-            self.left.P[0, 0], self.right.P[0, 0], rtol=1e-3
-        ):
-            raise CalibrationError(
-                f'rectified cameras must share fx, fy and cy, got left {self.left.P[0, 0]:g},'
-                f' {left_rows} and right {self.right.P[0, 0]:g}, {right_rows};'
-                ' rectify them as a pair'
-            )
+        check_baseline(self.left.P, self.right.P)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What was read in another way than it is written, a sentence each."""
+        sides = ('left', self.left), ('right', self.right)
+        return tuple(f'{side} camera: {text}' for side, camera in sides for text in camera.notices)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is probably wrong in the calibration, a sentence each."""
+        sides = ('left', self.left.warning), ('right', self.right.warning)
+        texts = [f'{side} camera: {text}' for side, text in sides if text]
+        return (*texts, *baseline_warnings(self.left.P, self.right.P))
+
+    @property
+    def turns(self) -> int:
+        """Quarter turns, counter-clockwise, that bring the baseline of the images into rows.
+
+        0 unless one camera stands above the other: 1 if the right one is below, else -1. Matching
+        works on images turned like this; disparities are differences of columns there.
+        """
+        if baseline_axis(self.left.P, self.right.P) == 0:
+            return 0
+        return 1 if self.left.P[1, 3] > self.right.P[1, 3] else -1
 
     @property
     def baseline_m(self) -> float:
         """Distance between the optical centres, m."""
-        return float((self.left.P[0, 3] - self.right.P[0, 3]) / self.right.P[0, 0])
+        along = abs(self.turns)
+        shift = self.left.P[along, 3] - self.right.P[along, 3]
+        return float(abs(shift) / self.right.P[along, along])
 
     @property
     def focal_px(self) -> float:
-        """Common horizontal focal length of the rectified cameras, px."""
-        return float(self.right.P[0, 0])
+        """Common focal length of the rectified cameras along the baseline, px."""
+        along = abs(self.turns)
+        return float(self.right.P[along, along])
 
     @property
     def disparity_offset_px(self) -> float:
-        """``cx_left - cx_right``: the raw disparity x_left - x_right of a point at infinity."""
-        return float(self.left.P[0, 2] - self.right.P[0, 2])
+        """``cx_left - cx_right``: the raw disparity x_left - x_right of a point at infinity.
+
+        In the images turned by `turns`.
+        """
+        along = abs(self.turns)
+        offset = float(self.left.P[along, 2] - self.right.P[along, 2])
+        return -offset if self.turns < 0 else offset

@@ -2,7 +2,8 @@
 """Options of the chain: the one place for their defaults, units, ranges and descriptions.
 
 The nodes' ROS parameters, the command line's options and the tables of the documentation are made
-from these fields. Names shared with image_pipeline have the same meaning there.
+from these fields; `inputs.options` holds those of the input. Names shared with image_pipeline have
+the same meaning there.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from binocular_recon.errors import ConfigError
+from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.options import Options, OptionValue, option
 
 # Values of the option `matcher`: the built-in ones, and those that `register_matcher` adds.
@@ -235,6 +237,7 @@ class CloudConfig(Options):
 class ChainConfig:
     """All options of the chain."""
 
+    images: ImageConfig = field(default_factory=ImageConfig)
     match: MatchConfig = field(default_factory=MatchConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     cloud: CloudConfig = field(default_factory=CloudConfig)

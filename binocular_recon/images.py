@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.errors import ImageError
+from binocular_recon.inputs.levels import Levels, find_levels
 
 Image = npt.NDArray[Any]
 FloatImage = npt.NDArray[np.float32]
@@ -18,22 +19,26 @@ Mask = npt.NDArray[np.bool_]
 
 # Smallest region of one level at the image border that is padding and not a dark object, px.
 LEAST_PADDING = 100
-# Value of white in each accepted dtype.
-_WHITE = {'uint8': 255.0, 'uint16': 65535.0, 'float32': 1.0, 'float64': 1.0}
+_TYPES = ('uint8', 'uint16', 'float32', 'float64')
+# Grey levels beyond white and below black are kept up to here: overshoot of interpolation.
+_OVERSHOOT = 127.0
 
 
-def to_grey(image: Image) -> FloatImage:
+def to_grey(image: Image, levels: Levels | None = None) -> FloatImage:
     """Return grey levels on the scale 0..255, not rounded.
 
     Parameters
     ----------
     image : (H, W) or (H, W, C), uint8, uint16 or float
-        Grey (C = 1), BGR or BGRA. White is 255, 65535 or 1.0.
+        Grey (C = 1), BGR or BGRA.
+    levels : Levels, optional
+        Black and white of the image; by default found from it. Those of 8-bit images are 0, 255.
 
     Returns
     -------
     grey : (H, W) float32
-        Rec. 601 luminance; NaN where a float image is NaN or infinite (no data).
+        Rec. 601 luminance; NaN where a float image is NaN or infinite (no data). At most 127
+        levels below black or above white.
 
     Raises
     ------
@@ -43,15 +48,28 @@ def to_grey(image: Image) -> FloatImage:
     """
     channels = _check(image)
     grey = image.reshape(image.shape[:2]) if channels == 1 else image
-    scaled: FloatImage = np.asarray(grey, np.float32) * np.float32(
-        255.0 / _WHITE[image.dtype.name]
-    )
+    scaled = _scaled(grey, levels)
     if channels > 1:
         code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
         scaled = np.asarray(cv2.cvtColor(scaled, code))
     if image.dtype.kind == 'f':
         scaled[~np.isfinite(scaled)] = np.nan
+    if image.dtype != np.uint8:  # also keeps NaN
+        np.clip(scaled, -_OVERSHOOT, 255 + _OVERSHOOT, out=scaled)
     return scaled
+
+
+def _scaled(image: Image, levels: Levels | None) -> FloatImage:
+    """Return an image with black at 0 and white at 255; no data of 16-bit images stays 0."""
+    if image.dtype == np.uint8:
+        return np.asarray(image, np.float32)
+    black, white = levels or find_levels(image)
+    scaled: FloatImage = np.asarray(image, np.float32)
+    if black:
+        scaled = scaled - np.float32(black)
+        if image.dtype.kind == 'u':
+            np.maximum(scaled, 0, out=scaled)
+    return scaled * np.float32(255.0 / (white - black))
 
 
 def mark_empty(grey: FloatImage) -> None:
@@ -101,12 +119,12 @@ def connected_to_border(region: Mask, least_pixels: int = 1) -> Mask:
     return connected
 
 
-def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
+def to_bgr8(image: Image, levels: Levels | None = None) -> npt.NDArray[np.uint8]:
     """Return an image for display and for the colour of points.
 
     Parameters
     ----------
-    image : (H, W) or (H, W, C), uint8, uint16 or float
+    image, levels
         As for `to_grey`.
 
     Returns
@@ -122,9 +140,8 @@ def to_bgr8(image: Image) -> npt.NDArray[np.uint8]:
     """
     channels = _check(image)
     if image.dtype != np.uint8:
-        levels = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
-        scaled = np.rint(levels * np.float32(255.0 / _WHITE[image.dtype.name]))
-        image = np.clip(scaled, 0, 255).astype(np.uint8)
+        scaled = np.nan_to_num(_scaled(image, levels), nan=0.0, posinf=0.0, neginf=0.0)
+        image = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
     if channels == 3:
         return image
     code = cv2.COLOR_GRAY2BGR if channels == 1 else cv2.COLOR_BGRA2BGR
@@ -140,8 +157,8 @@ def _check(image: Image) -> int:
             f'image has shape {image.shape}; it must be (rows, columns) or (rows, columns,'
             ' channels) with 1, 3 or 4 channels'
         )
-    if image.dtype.name not in _WHITE:
+    if image.dtype.name not in _TYPES:
         raise ImageError(
-            f'image has dtype {image.dtype}; convert it to one of {", ".join(_WHITE)}'
+            f'image has dtype {image.dtype}; convert it to one of {", ".join(_TYPES)}'
         )
     return channels

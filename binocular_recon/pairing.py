@@ -5,65 +5,16 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect_right
-from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from itertools import islice
-from operator import attrgetter
 from typing import Any
 
-# Stamps kept for each input, independently of the queue: they distinguish a message that arrives
-# after its partner was dropped from one that never had a partner.
-_STAMP_HISTORY = 1000
-# How many last messages of an input `too_late` looks at.
-_LATENESS_HISTORY = 10
+from binocular_recon.inputs.clocks import Mismatch, clock_offset, standing_still
+from binocular_recon.inputs.queues import Entry, MessageQueue
 
-
-@dataclass(frozen=True, eq=False)
-class _Entry:
-    stamp_ns: int
-    message: Any
-
-
-class _Queue:
-    """The messages that have arrived on one input."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.waiting: deque[_Entry] = deque()  # by stamp
-        self.recent_ns: deque[int] = deque(maxlen=_STAMP_HISTORY)  # never decreases
-        # for each message, how many messages of another input arrived after its partner there
-        self.lateness: deque[int] = deque(maxlen=_LATENESS_HISTORY)
-        self.period_ns: int | None = None  # smallest step between consecutive stamps
-        # another input has jumped back and this one has not: messages after which that is ignored
-        self.behind = 0
-        self.ended = False
-        self.expected = True
-
-    def nearest(self, stamp_ns: int) -> _Entry | None:
-        """Return the waiting message nearest to a stamp; of equal stamps, the last arrival."""
-        stamp_of = attrgetter('stamp_ns')
-        after = bisect_right(self.waiting, stamp_ns, key=stamp_of)
-        before = self.waiting[after - 1] if after else None
-        if after == len(self.waiting):
-            return before
-        later_ns = self.waiting[after].stamp_ns
-        if before is not None and stamp_ns - before.stamp_ns < later_ns - stamp_ns:
-            return before
-        return self.waiting[bisect_right(self.waiting, later_ns, key=stamp_of) - 1]
-
-    def count_after_partner(self, stamp_ns: int, tolerance_ns: int) -> int:
-        """Count the messages that arrived after the partner of a stamp; 0 without a partner."""
-        after = bisect_right(self.recent_ns, stamp_ns + tolerance_ns)
-        if not after or self.recent_ns[after - 1] < stamp_ns - tolerance_ns:
-            return 0
-        return len(self.recent_ns) - after
-
-    def is_settled(self, stamp_ns: int, gap_ns: int) -> bool:
-        """Return whether no message nearer to a stamp than ``gap_ns`` can still arrive."""
-        if self.ended or gap_ns == 0 or (self.recent_ns and self.recent_ns[-1] >= stamp_ns):
-            return True
-        return self.period_ns is not None and 2 * gap_ns <= self.period_ns
+# So many equal stamps in a row are no repetition: the clock stands still.
+STANDING_STILL = 5
 
 
 class Synchronizer:
@@ -85,6 +36,10 @@ class Synchronizer:
         Largest number of messages per input that wait for their partners.
     tolerance_ns : int or None
         Largest difference of stamps within a set, nanoseconds; 0 = equal stamps, None = any.
+    by_arrival : bool
+        Take the time of arrival for the stamp, and the nearest whatever its difference.
+    offsets_ns : mapping of str to int
+        Added to the stamps of these inputs.
 
     Attributes
     ----------
@@ -94,12 +49,19 @@ class Synchronizer:
     """
 
     def __init__(
-        self, names: Sequence[str], *, queue_size: int, tolerance_ns: int | None = 0
+        self,
+        names: Sequence[str],
+        *,
+        queue_size: int,
+        tolerance_ns: int | None = 0,
+        by_arrival: bool = False,
+        offsets_ns: Mapping[str, int] | None = None,
     ) -> None:
         self.dropped: Counter[str] = Counter()
         self._queue_size = queue_size
-        self._tolerance_ns = tolerance_ns
-        self._queues = {name: _Queue(name) for name in names}
+        self._tolerance_ns = None if by_arrival else tolerance_ns
+        self._by_arrival, self._offsets_ns = by_arrival, offsets_ns or {}
+        self._queues = {name: MessageQueue(name) for name in names}
         self._leader = self._queues[names[0]]
         self._lock = threading.Lock()
 
@@ -108,11 +70,33 @@ class Synchronizer:
         with self._lock:
             self._queues[name].expected = expected
 
-    def add(self, name: str, stamp_ns: int, message: Any) -> list[tuple[Any, ...]]:
-        """Add a message and return the sets that it completes, each in the order of ``names``."""
+    def add(
+        self, name: str, stamp_ns: int, message: Any, arrived_ns: int | None = None
+    ) -> list[tuple[Any, ...]]:
+        """Add a message and return the sets that it completes, each in the order of ``names``.
+
+        ``arrived_ns`` is the time of any clock that is the same for all inputs.
+        """
+        stamp_ns += self._offsets_ns.get(name, 0)
         with self._lock:
-            self._enqueue(self._queues[name], _Entry(stamp_ns, message))
+            queue = self._queues[name]
+            if arrived_ns is not None:
+                queue.arrivals.append((stamp_ns, arrived_ns))
+                stamp_ns = arrived_ns if self._by_arrival else stamp_ns
+            self._enqueue(queue, Entry(stamp_ns, message))
             return self._take_sets()
+
+    def standing_still(self, least: int = STANDING_STILL) -> str:
+        """Say that the last ``least`` stamps of an input are the same, '' if they are not."""
+        with self._lock:
+            return next(
+                (
+                    standing_still(queue.name, queue.recent_ns[-1])
+                    for queue in self._queues.values()
+                    if queue.expected and queue.equal >= least and not self._by_arrival
+                ),
+                '',
+            )
 
     def finish(self) -> list[tuple[Any, ...]]:
         """End all inputs and return the sets that still waited for a nearer message."""
@@ -128,7 +112,8 @@ class Synchronizer:
                 queue.waiting.clear()
                 queue.recent_ns.clear()
                 queue.lateness.clear()
-                queue.behind = 0
+                queue.arrivals.clear()
+                queue.behind = queue.equal = 0
 
     def too_late(self) -> dict[str, int]:
         """Return the inputs whose messages arrive after their partners have been dropped.
@@ -148,18 +133,8 @@ class Synchronizer:
             }
         return {name: count for name, count in needed.items() if count > self._queue_size}
 
-    def explain(self) -> tuple[str, float] | None:
-        """Describe by how much the stamps miss each other.
-
-        Returns
-        -------
-        text : str
-            The smallest difference of each input's recent stamps from the leader's.
-        needed_s : float
-            The tolerance with which they would match, s, rounded up to whole microseconds.
-            Instead of both, None if the stamps agree or there are none.
-
-        """
+    def explain(self) -> Mismatch | None:
+        """Describe by how much the stamps miss each other; None if they agree or are missing."""
         with self._lock:
             limit_ns = float('inf') if self._tolerance_ns is None else self._tolerance_ns
             misses_ns = {
@@ -167,20 +142,41 @@ class Synchronizer:
                 for queue in self._queues.values()
                 if (miss_ns := self._miss_ns(queue)) is not None and abs(miss_ns) > limit_ns
             }
-        if not misses_ns:
-            return None
+            if not misses_ns:
+                return None
+            return self._mismatch(misses_ns)
+
+    def _mismatch(self, misses_ns: dict[str, int]) -> Mismatch:
+        period_ns = self._leader.period_ns
+        largest_ns = max(map(abs, misses_ns.values()))
+        tolerance_s: float | None = -(-largest_ns // 1000) / 1e6
         misses = ', '.join(
             f'{name} is {abs(miss_ns) / 1e6:.3f} ms {"later" if miss_ns > 0 else "earlier"}'
             for name, miss_ns in misses_ns.items()
         )
         text = f'stamps never match those of {self._leader.name}: {misses} (nearest recent ones)'
-        needed_us = -(-max(map(abs, misses_ns.values())) // 1000)
-        return text, needed_us / 1e6
+        if period_ns is not None and 2 * largest_ns >= period_ns:
+            tolerance_s = None
+        for name, miss_ns in misses_ns.items():
+            found = clock_offset(self._leader.arrivals, self._queues[name].arrivals)
+            if name not in self._offsets_ns or found is None:
+                continue
+            far = period_ns is not None and 2 * abs(found.offset_ns - miss_ns) >= period_ns
+            text += (
+                f'; its clock is {abs(found.offset_ns) / 1e6:.3f} ms'
+                f' {"ahead" if found.offset_ns > 0 else "behind"}, a constant (spread'
+                f' {found.spread_ns / 1e6:.3f} ms)'
+            )
+            offset_s = (self._offsets_ns[name] - found.offset_ns) / 1e9
+            return Mismatch(text, None if far else tolerance_s, offset_s)
+        return Mismatch(text, tolerance_s)
 
     def _take_sets(self) -> list[tuple[Any, ...]]:
         """Remove the complete sets and all older messages, whose partners can no longer arrive."""
         sets: list[tuple[Any, ...]] = []
         if any(queue.expected and not queue.waiting for queue in self._queues.values()):
+            return sets
+        if self._leader.equal >= STANDING_STILL and not self._by_arrival:
             return sets
         for leading in list(self._leader.waiting):
             found = self._partners(leading)
@@ -191,11 +187,11 @@ class Synchronizer:
                         self._take(queue, entry)
         return sets
 
-    def _take(self, queue: _Queue, entry: _Entry) -> None:
+    def _take(self, queue: MessageQueue, entry: Entry) -> None:
         while queue.waiting.popleft() is not entry:
             self.dropped[f'{queue.name} without partner'] += 1
 
-    def _miss_ns(self, queue: _Queue) -> int | None:
+    def _miss_ns(self, queue: MessageQueue) -> int | None:
         """Return the smallest difference of an expected input's stamps from the leader's."""
         leading_ns = self._leader.recent_ns
         if not leading_ns or not queue.recent_ns or not queue.expected:
@@ -207,7 +203,7 @@ class Synchronizer:
             gaps_ns += [stamp_ns - leading for leading in near_ns]
         return min(gaps_ns, key=abs)
 
-    def _note_lateness(self, queue: _Queue, stamp_ns: int) -> None:
+    def _note_lateness(self, queue: MessageQueue, stamp_ns: int) -> None:
         """Note how many messages arrived between a message and its earlier partner."""
         others = self._queues.values() if queue is self._leader else [self._leader]
         tolerance_ns = self._tolerance_ns or 0
@@ -219,8 +215,9 @@ class Synchronizer:
             ]
             queue.lateness.append(max(counts, default=0))
 
-    def _enqueue(self, queue: _Queue, entry: _Entry) -> None:
+    def _enqueue(self, queue: MessageQueue, entry: Entry) -> None:
         step_ns = entry.stamp_ns - queue.recent_ns[-1] if queue.recent_ns else 0
+        queue.equal = queue.equal + 1 if step_ns == 0 else 1
         if step_ns < 0:
             self._jump_back(queue)
         else:
@@ -234,7 +231,7 @@ class Synchronizer:
             queue.waiting.popleft()
             self.dropped[f'{queue.name} without partner'] += 1
 
-    def _jump_back(self, jumped: _Queue) -> None:
+    def _jump_back(self, jumped: MessageQueue) -> None:
         self.dropped['clock went back'] += len(jumped.waiting)
         jumped.waiting.clear()
         jumped.recent_ns.clear()
@@ -246,9 +243,9 @@ class Synchronizer:
             if queue is not jumped and queue.recent_ns:
                 queue.behind = self._queue_size
 
-    def _partners(self, leading: _Entry) -> list[_Entry | None] | None:
+    def _partners(self, leading: Entry) -> list[Entry | None] | None:
         """Return the set of a message of the leader, or None while it is incomplete."""
-        found: list[_Entry | None] = []
+        found: list[Entry | None] = []
         for queue in self._queues.values():
             entry = None if queue.behind else self._partner(queue, leading)
             if entry is None and queue.expected:
@@ -259,7 +256,7 @@ class Synchronizer:
             return None
         return found
 
-    def _partner(self, queue: _Queue, leading: _Entry) -> _Entry | None:
+    def _partner(self, queue: MessageQueue, leading: Entry) -> Entry | None:
         """Return the message of an input for which it and ``leading`` are mutually nearest."""
         if queue is self._leader:
             return leading

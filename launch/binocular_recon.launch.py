@@ -17,6 +17,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch_ros.actions import Node
 
 from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
@@ -34,13 +35,14 @@ SIDES = ('left', 'right')
 # the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
-    'match_node': (PresetOptions, MatchConfig, DepthBoundOptions),
+    'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig),
     'wls_filter_node': (
         PresetOptions,
         QueueOptions,
         FilterConfig,
         CloudConfig,
         CloudMessageOptions,
+        ImageConfig,
         CalibrationOptions,
     ),
 }

@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # modules of a folder may stand in several rooms, some below its subfolders and some above.
 ROOMS = [
     {'errors', 'options', 'number_text', '_lazy', '_kernel_cache', 'rotations', 'lenses'},
-    {'config', 'camera', '_jit', '_simd', 'machine'},
+    {'inputs', 'config', 'camera', '_jit', '_simd', 'machine'},
     {'images', 'pairing'},
     {'stereo.rectification', 'stereo.confidence', 'stereo.validity', 'stereo._validity_kernels'},
     {'stereo.holes'},
@@ -28,6 +28,9 @@ ROOMS = [
     {
         'stereo.point_covariance',
         'stereo.range_tracker',
+        'stereo.row_check',
+        'stereo.orientation',
+        'stereo.diagnosis',
         'stereo.search_range',
         'stereo.triangulation',
         'stereo._triangulation_kernels',

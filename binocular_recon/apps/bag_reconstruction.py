@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from binocular_recon.apps.output_folder import ResultFolder
@@ -16,6 +17,7 @@ from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BagError, FileError, ImageError
+from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.bags.stereo_bag import StereoBag
 from binocular_recon.io.bags.stereo_topics import (
@@ -53,13 +55,15 @@ class BagInput:
     images, infos : (str, str), optional
         Topics of left and right if they do not have the usual names.
     rectified : bool, optional
-        Whether ``images`` are rectified; by default if their name contains ``rect``.
+        Whether ``images`` are rectified; by default as `is_rectified` says.
     calibration : Path, optional
         Folder with left.yaml and right.yaml that replace the recorded camera infos.
     alpha : float
         Passed to `Rectifier`.
     tolerance_ns : int
         Largest difference between the stamps of a pair.
+    pairing : PairingOptions
+        What tells that images belong together.
     every : int
         Reconstruct every Nth pair.
     max_frames : int, optional
@@ -77,6 +81,7 @@ class BagInput:
     calibration: Path | None = None
     alpha: float = -1.0
     tolerance_ns: int = 0
+    pairing: PairingOptions = field(default_factory=PairingOptions)
     every: int = 1
     max_frames: int | None = None
     near_m: float | None = None
@@ -125,9 +130,15 @@ def reconstruct_bag(
 
     """
     with Bag(source.bag) as bag:
-        rig = read_rig(source.calibration) if source.calibration else None
         topics = _topics(bag, source)
-        stereo = StereoBag(bag, topics, rig, tolerance_ns=source.tolerance_ns)
+        rig = (
+            read_rig(source.calibration, rectified=topics.rectified)
+            if source.calibration
+            else None
+        )
+        stereo = StereoBag(
+            bag, topics, rig, tolerance_ns=source.tolerance_ns, pairing=source.pairing
+        )
         facts = {'bag': str(source.bag), **topics._asdict()}
         results = ResultFolder(output, facts, formats=formats)
         try:
@@ -147,7 +158,7 @@ def reconstruct_bag(
     sentence = results.sentence()
     if stereo.unpaired:
         sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
-    warning = few_matched_warning(results.matched)
+    warning = few_matched_warning(results.matched, results.cause)
     if results.frames and warning:
         report(f'warning: {warning}')
     return sentence
@@ -184,7 +195,7 @@ def _reconstruct(
     *,
     rectify: bool,
 ) -> None:
-    chain, rig, warned = None, None, False
+    chain, rig, warned, said = None, None, False, set[str]()
     count = -(-stereo.expected // source.every)
     with ProgressBar(min(count, source.max_frames or count), 'frames') as progress:
         for pair in itertools.islice(stereo, 0, None, source.every):
@@ -192,6 +203,11 @@ def _reconstruct(
                 _prepare(config, report)
             if chain is None or pair.rig is not rig:
                 chain, rig = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha), pair.rig
+                remarks = [*pair.rig.notices, *(f'warning: {text}' for text in pair.rig.warnings)]
+                for text in remarks:
+                    if text not in said:
+                        report(text)
+                said.update(remarks)
                 if source.near_m is not None:
                     chain.search(range_of_depths(source.near_m, source.far_m, chain.rig))
             start = time.perf_counter()
@@ -209,12 +225,21 @@ def _reconstruct(
                 if warning and not warned:
                     warned = True
                     report(f'warning: {warning}')
+                for text in reconstruction.findings.warnings:
+                    if _kind(text) not in said:
+                        said.add(_kind(text))
+                        report(f'warning: {text}')
                 if reconstruction.range.outside_share > MOST_OUTSIDE:
                     results.refuse(warning)
                 results.add(pair.stamp_ns, pair.rig, reconstruction, seconds)
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
+
+
+def _kind(text: str) -> str:
+    """Return what warnings have in common that differ in their numbers only."""
+    return re.sub(r'\d+(\.\d+)?', '#', text)
 
 
 def _opening(search: SearchRange, rig: StereoRig) -> str:
@@ -238,7 +263,7 @@ def _raise_problems(bag: Bag, results: ResultFolder, least_matched: float) -> No
     elif results.frames and results.matched < least_matched:
         problems.append(
             f'only {results.matched:.1%} of the pixels could be matched, at least'
-            f' {least_matched:.0%} are expected; {REMEDY}, or accept the result'
+            f' {least_matched:.0%} are expected; {results.cause or REMEDY}, or accept the result'
             ' (--least-matched 0)'
         )
     if problems:

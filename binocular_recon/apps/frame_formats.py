@@ -61,7 +61,7 @@ class FrameResult:
     @cached_property
     def left_bgr(self) -> ByteImage:
         """The rectified left image, (H, W, 3) uint8."""
-        return to_bgr8(self.reconstruction.left)
+        return to_bgr8(self.reconstruction.left, self.reconstruction.levels)
 
 
 class FrameFormat(NamedTuple):

@@ -48,6 +48,8 @@ class ResultFolder:
         Stamp and reason of each pair that could not be reconstructed.
     refused : list of str
         Why written frames are not reliable.
+    cause : str
+        Why few pixels could be matched, if that is known.
 
     Raises
     ------
@@ -71,6 +73,7 @@ class ResultFolder:
         self.frames: list[dict[str, Any]] = []
         self.left_out: list[dict[str, Any]] = []
         self.refused: list[str] = []
+        self.cause = ''
         self._source = source
         self._formats = [
             spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
@@ -103,6 +106,12 @@ class ResultFolder:
             'seconds': round(seconds, 4),
             'points': int(np.count_nonzero(points)),
         }
+        findings = reconstruction.findings
+        self.cause = self.cause or findings.cause
+        if findings.rows.points:
+            frame['row_offset_px'] = round(findings.rows.median_px, 3)
+        if findings.warnings or findings.cause:
+            frame['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
         if reconstruction.range.warning:
             frame['warning'] = reconstruction.range.warning
         if self._rig is None:
@@ -180,7 +189,18 @@ class ResultFolder:
         return (
             f'{frames} in {self.folder}: {self.matched:.1%} of the pixels measured, {density:.1%}'
             f' with a disparity; points from {low:.2f} to {high:.2f} m (median {median:.2f} m),'
-            f' {seconds:.2f} s per frame'
+            f' {seconds:.2f} s per frame{self._scale()}'
+        )
+
+    def _scale(self) -> str:
+        """Return what all depths depend on, for the sentence."""
+        if self._rig is None:
+            return ''
+        near, far = self._searched_m
+        reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
+        return (
+            f'; baseline {self._rig.baseline_m:.4g} m, focal length {self._rig.focal_px:.0f} px,'
+            f' searched from {near:.3g} m to {reach}'
         )
 
 

@@ -95,10 +95,14 @@ def _judge(found: DisparityEstimate, matched: float) -> None:
     if found.range.outside_share > MOST_OUTSIDE:
         raise ImageError(found.range.warning)
     if matched < LEAST_MATCHED:
-        raise ImageError(f'only {matched:.1%} of the pixels could be matched; {REMEDY}')
+        raise ImageError(
+            f'only {matched:.1%} of the pixels could be matched; {found.findings.cause or REMEDY}'
+        )
     if found.range.warning:
         note(f'warning: {found.range.warning}')
-    warning = few_matched_warning(matched)
+    for text in found.findings.warnings:
+        note(f'warning: {text}')
+    warning = few_matched_warning(matched, found.findings.cause)
     if warning:
         note(f'warning: {warning}')
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from binocular_recon.config import PRESETS, ChainConfig
 from binocular_recon.errors import ConfigError
-from binocular_recon.options import OptionValue, check_option
+from binocular_recon.options import Options, OptionValue, check_option
 
 # Options whose 0 has a name: found from the images.
 FOUND = ('min_disparity', 'disparity_range')
@@ -25,7 +25,8 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
         'bag',
         type=Path,
         metavar='BAG',
-        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file',
+        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file, or one of these as'
+        ' .zstd',
     )
 
 
@@ -88,22 +89,29 @@ def add_option_flags(parser: argparse.ArgumentParser, exclude: Collection[str] =
     )
     for spec in _options():
         if spec.name not in exclude:
-            flag, text = f'--{spec.name.replace("_", "-")}', _help(spec)
-            if isinstance(spec.default, bool):
-                group.add_argument(
-                    flag,
-                    action=argparse.BooleanOptionalAction,
-                    default=argparse.SUPPRESS,
-                    help=text,
-                )
-            else:
-                group.add_argument(
-                    flag,
-                    type=_converter(spec),
-                    default=argparse.SUPPRESS,
-                    metavar=_metavar(spec),
-                    help=text,
-                )
+            _add_flag(group, spec)
+
+
+def add_flags(group: argparse._ArgumentGroup, options: type[Options]) -> None:
+    """Declare a flag for every option of a group that is not the chain's."""
+    for spec in dataclasses.fields(options):  # type: ignore[arg-type]
+        _add_flag(group, spec)
+
+
+def _add_flag(group: argparse._ArgumentGroup, spec: dataclasses.Field[Any]) -> None:
+    flag, text = f'--{spec.name.replace("_", "-")}', _help(spec)
+    if isinstance(spec.default, bool):
+        group.add_argument(
+            flag, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=text
+        )
+    else:
+        group.add_argument(
+            flag,
+            type=_converter(spec),
+            default=argparse.SUPPRESS,
+            metavar=_metavar(spec),
+            help=text,
+        )
 
 
 def chain_config(args: argparse.Namespace, **overrides: OptionValue) -> ChainConfig:

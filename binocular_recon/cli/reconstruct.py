@@ -10,12 +10,14 @@ from pathlib import Path
 from binocular_recon.cli.options import (
     add_bag_argument,
     add_chain_options,
+    add_flags,
     add_output_option,
     chain_config,
     note,
     positive,
 )
 from binocular_recon.errors import ConfigError
+from binocular_recon.inputs.options import PairingOptions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +81,7 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         '--rectified',
         action=argparse.BooleanOptionalAction,
         help='whether the images of --left-image and --right-image are rectified (by default if'
-        ' their name contains rect)',
+        ' their name has the word rect)',
     )
     group.add_argument(
         '--calibration',
@@ -102,6 +104,7 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
         metavar='SECONDS',
         help='pair images whose stamps differ by up to this; by default only equal stamps',
     )
+    add_flags(group, PairingOptions)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -124,6 +127,9 @@ def run(args: argparse.Namespace) -> None:
         calibration=args.calibration,
         alpha=args.alpha,
         tolerance_ns=round(args.approximate_sync_tolerance_seconds * 1e9),
+        pairing=PairingOptions(
+            **{name: getattr(args, name) for name in ('pairing', 'stamp_offset') if name in args}
+        ),
         every=args.every,
         max_frames=args.max_frames,
         near_m=args.near,

@@ -11,6 +11,7 @@ import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.files import complete_file
 
@@ -26,8 +27,8 @@ _MATRICES = (
 PENDING = '.calibration.new'
 
 
-def read_camera(path: Path) -> Camera:
-    """Read a camera file.
+def read_camera(path: Path, *, rectified: bool = False) -> Camera:
+    """Read a camera file; ``rectified`` as for `camera_of_image`.
 
     Raises
     ------
@@ -49,27 +50,30 @@ def read_camera(path: Path) -> Camera:
         # PyYAML reads numbers such as 1e-05 as text
         K, D, R, P = (np.array(content[name]['data'], np.float64) for name in _MATRICES)
         size = int(content['image_width']), int(content['image_height'])
-        model = str(content['distortion_model'])
-    except (KeyError, TypeError, ValueError) as error:
+        model = str(content.get('distortion_model') or '')
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise CalibrationError(
             f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r}'
         ) from error
     try:
-        return Camera(*size, K, D, R, P, model)
+        return camera_of_image(size, K, D, R, P, model, rectified=rectified)
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error}') from error
 
 
-def read_rig(folder: str | Path) -> StereoRig:
+def read_rig(folder: str | Path, *, rectified: bool = False) -> StereoRig:
     """Read ``left.yaml``, ``right.yaml`` and, if it is there, ``calibration.json`` of ``folder``.
 
-    If saving a calibration was interrupted, its new files are read where they are. Errors as in
-    `read_camera` and `read_covariance`.
+    If saving a calibration was interrupted, its new files are read where they are. Of rectified
+    images only P counts. Errors as in `read_camera` and `read_covariance`.
     """
-    folder = Path(folder)
-    left, right = (read_camera(_newest(folder, f'{side}.yaml')) for side in ('left', 'right'))
-    covariance = read_covariance(_newest(folder, 'calibration.json'), left, right)
-    return StereoRig(left, right, covariance=covariance)
+    paths = [_newest(Path(folder), f'{side}.yaml') for side in ('left', 'right')]
+    cameras = [read_camera(path, rectified=rectified) for path in paths]
+    json = _newest(Path(folder), 'calibration.json')
+    if any(camera.notices for camera in cameras) and rectified:  # K or D cannot be used
+        return StereoRig(*cameras)
+    covariance = read_covariance(json, *(read_camera(path) for path in paths))
+    return StereoRig(*cameras, covariance=covariance)
 
 
 def _newest(folder: Path, name: str) -> Path:

@@ -139,9 +139,15 @@ class Lens(ABC):
     def pixels(self, rays: FloatArray, K: FloatArray, D: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) at which a camera images rays (..., 2)."""
         focal, centre = np.diag(K)[:2], K[:2, 2]
-        pixels: FloatArray = focal * self.distort(rays, D) + centre
+        points = self.distort(rays, D)
+        pixels: FloatArray = focal * points + centre
+        if K[0, 1]:
+            pixels[..., 0] += K[0, 1] * points[..., 1]
         return pixels
 
     def rays(self, pixels: FloatArray, K: FloatArray, D: FloatArray) -> FloatArray:
         """Return the rays (..., 2) that a camera images at pixels (..., 2); see `undistort`."""
-        return self.undistort((pixels - K[:2, 2]) / np.diag(K)[:2], D)
+        points = (pixels - K[:2, 2]) / np.diag(K)[:2]
+        if K[0, 1]:
+            points[..., 0] -= K[0, 1] / K[0, 0] * points[..., 1]
+        return self.undistort(points, D)

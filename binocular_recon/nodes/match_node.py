@@ -13,20 +13,21 @@ from stereo_msgs.msg import DisparityImage
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
+from binocular_recon.inputs.levels import LevelTracker
+from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.messages.disparities import fill_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
 from binocular_recon.stereo.matching import disparity_step_px, match
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
-from binocular_recon.stereo.search_range import check_order, range_of_depths
-from binocular_recon.stereo.validity import FEW_MATCHED, few_matched_warning
-
-# Share of white pixels above which the node warns of the exposure.
-_SATURATED_SHARE = 0.25
+from binocular_recon.stereo.search_range import range_of_depths
+from binocular_recon.stereo.validity import few_matched_warning
 
 
 class MatchNode(FrameNode):
@@ -40,11 +41,13 @@ class MatchNode(FrameNode):
         Input('right/camera_info', CameraInfo),
     )
     OUTPUTS = (Output('confidence', Image), Output('disparity', DisparityImage))
-    LIVE = (PresetOptions, MatchConfig, DepthBoundOptions)
+    LIVE = (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig)
 
     def __init__(self) -> None:
         super().__init__()
         self._range = RangeTracker()
+        self._levels = LevelTracker()
+        self._check = PairCheck()
         self.prepare()
         self.start()
 
@@ -59,21 +62,27 @@ class MatchNode(FrameNode):
         self, left: Image, right: Image, left_info: CameraInfo, right_info: CameraInfo
     ) -> None:
         """Publish the disparities of one pair."""
-        rig = self.rig(left_info, right_info)
+        images = read_image(left, 'left image').image, read_image(right, 'right image').image
+        rig = self.rig(left_info, right_info, images[0], rectified=True)
+        self._levels.config = self.options.of(ImageConfig)
+        levels = self._levels.update(*images)
         greys, exposed = [], True
-        for message, camera, side in ((left, rig.left, 'left'), (right, rig.right, 'right')):
-            grey = to_grey(read_image(message, f'{side} image').image)
-            check_size(grey, camera.size, side)
+        for image, level, side in zip(images, levels, ('left', 'right'), strict=True):
+            check_size(image, rig.left.size, side)
+            grey = to_grey(image, level)
             exposed = self._warn_of_bad_exposure(grey, side) and exposed
+            grey = turn(grey, rig.turns)
             mark_empty(grey)
             greys.append(grey)
         left_grey, right_grey = greys
         config = self._with_range(left_grey, right_grey, rig)
         matched = match(left_grey, right_grey, config)
-        share = matched.matched_share
-        self._report_share(share, warn=exposed)
-        if share < FEW_MATCHED and exposed:
-            check_order(left_grey, right_grey, config, rig.disparity_offset_px)
+        self.health.state('matched', f'{matched.matched_share:.1%} of the pixels')
+        findings = self._check.update(
+            left_grey, right_grey, matched, config, rig.disparity_offset_px
+        )
+        self._report_findings(findings, matched.matched_share, warn=exposed)
+        matched = turn_back(matched, rig.turns)
         if self.wanted('confidence'):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)
@@ -108,27 +117,26 @@ class MatchNode(FrameNode):
             self.health.warning(found.warning)
         return found.search.applied_to(config)
 
-    def _report_share(self, share: float, *, warn: bool) -> None:
-        self.health.state('matched', f'{share:.1%} of the pixels')
-        warning = few_matched_warning(share)
-        if warning and warn:
-            self.health.warning(warning)
+    def _report_findings(self, findings: Findings, share: float, *, warn: bool) -> None:
+        if findings.rows.points:
+            text = f'{findings.rows.median_px:.2f} px (median of {findings.rows.points} matches)'
+            self.health.state('row offset', text)
+        warnings = *findings.warnings, few_matched_warning(share, findings.cause)
+        for warning in filter(None, warnings):
+            if warn:
+                self.health.warning(warning)
 
     def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
         """Warn if few pixels can be matched, and say why; return whether all is well."""
-        missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
+        missing = np.mean(np.isnan(grey))
+        text = image_fault(grey)
         if missing > 0:
             text = (
                 f'has no data (NaN) in {100 * missing:.1f} % of its pixels; they get no disparity'
             )
-        elif grey.min() == grey.max():
-            text = f'is uniform (grey level {grey[0, 0]:.0f}); check the lens cap and the exposure'
-        elif white > _SATURATED_SHARE:
-            text = f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
-        else:
-            return True
-        self.health.warning(f'{side} image {text}')
-        return False
+        if text:
+            self.health.warning(f'{side} image {text}')
+        return not text
 
 
 def main() -> int:

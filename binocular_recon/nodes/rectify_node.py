@@ -55,8 +55,11 @@ class RectifyNode(FrameNode):
 
     def process(self, left: Image, right: Image, *infos: CameraInfo) -> None:
         """Publish one rectified pair."""
-        rectifier = self._rectifier(self._fixed_rig or self.rig(*infos))
         images = read_image(left, 'left image'), read_image(right, 'right image')
+        rig = self._fixed_rig or self.rig(infos[0], infos[1], images[0].image)
+        if self._fixed_rig:
+            self.warn_of_rig(rig)
+        rectifier = self._rectifier(rig)
         rectified = rectifier(*(image.image for image in images))
         cameras = rectifier.rig.left, rectifier.rig.right
         headers = left.header, Header(stamp=left.header.stamp, frame_id=right.header.frame_id)

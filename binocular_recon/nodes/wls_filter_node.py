@@ -16,6 +16,8 @@ from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
+from binocular_recon.inputs.levels import Levels, LevelTracker
+from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.clouds import fill_cloud
@@ -31,6 +33,7 @@ from binocular_recon.nodes.runtime.options import (
 )
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.triangulation import Cloud, triangulate
@@ -57,12 +60,13 @@ class WlsFilterNode(FrameNode):
         Output('disparity_color', Image),
         Output('validity', Image),
     )
-    LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions)
+    LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions, ImageConfig)
     FIXED = (LateInputOptions, CalibrationOptions)
 
     def __init__(self) -> None:
         super().__init__()
         self._filter = DisparityFilter(FilterConfig())
+        self._levels = LevelTracker()
         self._calibrated: tuple[StereoRig, StereoRig] | None = None
         folder = self.options.of(CalibrationOptions).calibration
         self._covariance = read_rig(Path(folder).expanduser()).covariance if folder else None
@@ -89,19 +93,22 @@ class WlsFilterNode(FrameNode):
         confidence: Image | None,
     ) -> None:
         """Publish the outputs that somebody subscribes to."""
-        rig = self.rig(left_info, right_info)
-        measured = read_disparity(disparity, rig)
         image = read_image(left, 'left image').image
+        rig = self.rig(left_info, right_info, image, rectified=True)
+        measured = read_disparity(disparity, rig)
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
-        guide = to_grey(image)
+        self._levels.config = self.options.of(ImageConfig)
+        (levels,) = self._levels.update(image)
+        guide = turn(to_grey(image, levels), rig.turns)
         mark_empty(guide)
         filtered = self._current_filter()(
-            measured.disparity_px,
-            _confidence(confidence, measured.disparity_px),
+            turn(measured.disparity_px, rig.turns),
+            turn(_confidence(confidence, measured.disparity_px), rig.turns),
             guide,
             limits_px=measured.limits_px,
         )
+        filtered = turn_back(filtered, rig.turns)
         self.health.state('measured', f'{filtered.measured_share:.1%} of the pixels')
         self.health.state('iterations', str(filtered.iterations))
         self.health.state('estimated error', f'{filtered.error_estimate_px:.4f} px')
@@ -115,7 +122,7 @@ class WlsFilterNode(FrameNode):
                 self._with_covariance(rig),
                 config,
             )
-            self._publish_cloud(cloud, filtered, image, rig, left)
+            self._publish_cloud(cloud, filtered, (image, levels), rig, left)
 
     def _with_covariance(self, rig: StereoRig) -> StereoRig:
         """Return the rig of the camera infos with the covariance of the calibration folder."""
@@ -161,7 +168,12 @@ class WlsFilterNode(FrameNode):
             self.publish('validity', bits)
 
     def _publish_cloud(
-        self, cloud: Cloud, filtered: Filtered, image: ImageArray, rig: StereoRig, left: Image
+        self,
+        cloud: Cloud,
+        filtered: Filtered,
+        image: tuple[ImageArray, Levels],
+        rig: StereoRig,
+        left: Image,
     ) -> None:
         if self.wanted('depth', 'depth/camera_info'):
             info, depth = CameraInfo(), Image()
@@ -177,7 +189,7 @@ class WlsFilterNode(FrameNode):
                 cloud,
                 left.header,
                 PointField,
-                colour=to_bgr8(image) if options.use_color else None,
+                colour=to_bgr8(*image) if options.use_color else None,
                 validity=filtered.validity if options.validity else None,
                 padding=not options.avoid_point_cloud_padding,
             )

@@ -62,7 +62,7 @@ def triangulate_rows(
     near, far = depth_range_m
     largest_m, largest_share = sigma_limit
     fx, cx, tx = projection[0, 0], projection[0, 2], projection[0, 3]
-    fy, cy = projection[1, 1], projection[1, 2]
+    fy, cy, ty = projection[1, 1], projection[1, 2], projection[1, 3]
     calibrated = calibration.size > 0
     shared = np.zeros(3)
     for row in range(start, stop):
@@ -88,7 +88,7 @@ def triangulate_rows(
                 sigma_m[row, column, :] = np.nan
                 continue
             x = ((column - cx) * z - tx) / fx
-            y = y_over_z * z
+            y = y_over_z * z - ty / fy
             points_xyz[row, column, 0] = x
             points_xyz[row, column, 1] = y
             points_xyz[row, column, 2] = z

@@ -11,12 +11,14 @@ import numpy as np
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.images import Image, mark_empty, to_grey
+from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
+from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
+from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.rectification import Rectifier, check_size
-from binocular_recon.stereo.search_range import RangeChoice, SearchRange, check_order, choose_range
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange, choose_range
 from binocular_recon.stereo.triangulation import Cloud, triangulate
-from binocular_recon.stereo.validity import FEW_MATCHED
 
 # A given search range is checked on the first frame and then on every tenth.
 CHECK_EVERY = 10
@@ -38,6 +40,10 @@ class Reconstruction:
         Metric points in the left rectified frame.
     range : RangeChoice
         The disparities that were searched, and the warning if a given range is too small.
+    levels : Levels
+        Black and white of the left image.
+    findings : Findings
+        What is wrong with the pair, or with the last one of the stream that was examined.
 
     """
 
@@ -47,6 +53,8 @@ class Reconstruction:
     filtered: Filtered
     cloud: Cloud
     range: RangeChoice
+    levels: Levels = EIGHT_BIT
+    findings: Findings = NOTHING
 
 
 class Chain:
@@ -75,6 +83,8 @@ class Chain:
     ) -> None:
         self.config = config
         self._filter = DisparityFilter(config.filter)
+        self._levels = LevelTracker(config.images)
+        self._check = PairCheck()
         self._count = itertools.count()
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
@@ -100,7 +110,10 @@ class Chain:
             self.config,
             self._filter,
             infinity_px=self.rig.disparity_offset_px,
+            turns=self.rig.turns,
             check_range=next(self._count) % CHECK_EVERY == 0,
+            levels=self._levels,
+            check=self._check,
         )
         filtered = found.filtered
         cloud = triangulate(  # eq. 16-18
@@ -110,7 +123,16 @@ class Chain:
             self.rig,
             self.config.cloud,
         )
-        return Reconstruction(left, right, found.matched, filtered, cloud, found.range)
+        return Reconstruction(
+            left,
+            right,
+            found.matched,
+            filtered,
+            cloud,
+            found.range,
+            found.levels,
+            found.findings,
+        )
 
     def search(self, disparities: SearchRange) -> None:
         """Search these disparities from now on, instead of those in the options."""
@@ -152,12 +174,18 @@ class DisparityEstimate:
         Dense disparity with its standard deviation and validity.
     range : RangeChoice
         The disparities that were searched, and the warning if a given range is too small.
+    levels : Levels
+        Black and white of the left image.
+    findings : Findings
+        What is wrong with the pair, or with the last one of the stream that was examined.
 
     """
 
     matched: Match
     filtered: Filtered
     range: RangeChoice
+    levels: Levels = EIGHT_BIT
+    findings: Findings = NOTHING
 
 
 def estimate_disparity(
@@ -167,7 +195,10 @@ def estimate_disparity(
     wls: DisparityFilter | None = None,
     *,
     infinity_px: float | None = None,
+    turns: int = 0,
     check_range: bool = True,
+    levels: LevelTracker | None = None,
+    check: PairCheck | None = None,
 ) -> DisparityEstimate:
     """Match a rectified pair, and filter its disparities into a dense map.
 
@@ -181,8 +212,14 @@ def estimate_disparity(
         The filter of a stream; its own options apply, not those in ``config``.
     infinity_px : float, optional
         Disparity of a point at infinity, if the rig is known.
+    turns : int
+        `StereoRig.turns`: the pair is matched turned, results are those of the images as given.
     check_range : bool
         Whether to check that a given search range is large enough.
+    levels : LevelTracker, optional
+        Black and white of a stream; its own options apply, not those in ``config``.
+    check : PairCheck, optional
+        What is wrong with the pairs of a stream.
 
     Raises
     ------
@@ -190,14 +227,17 @@ def estimate_disparity(
         If the sizes or dtypes do not fit.
 
     """
-    left_grey, right_grey = to_grey(left), to_grey(right)
+    found = (levels or LevelTracker(config.images)).update(left, right)
+    left_grey, right_grey = to_grey(left, found[0]), to_grey(right, found[1])
+    left_grey, right_grey = turn(left_grey, turns), turn(right_grey, turns)
     mark_empty(left_grey)
     mark_empty(right_grey)
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
     searched = chosen.search.applied_to(config.match)
     matched = match(left_grey, right_grey, searched)  # eq. 10
-    if matched.matched_share < FEW_MATCHED:
-        check_order(left_grey, right_grey, config.match, infinity_px)
+    findings = (check or PairCheck()).update(
+        left_grey, right_grey, matched, config.match, infinity_px
+    )
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
         matched.disparity_px,
@@ -206,4 +246,5 @@ def estimate_disparity(
         limits_px=searched.limits_px,
         reasons=matched.validity,
     )
-    return DisparityEstimate(matched, filtered, chosen)
+    matched, filtered = turn_back(matched, turns), turn_back(filtered, turns)
+    return DisparityEstimate(matched, filtered, chosen, found[0], findings)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.inputs.camera_checks import scale_between
 from binocular_recon.number_text import significant
 
 Map = npt.NDArray[np.float32]
@@ -38,7 +39,13 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
         Raw column and row, px; pixel centres are at whole numbers.
 
     """
-    return camera.lens.raw_pixels(camera.K, camera.D, camera.R, camera.P[:, :3], camera.size)
+    columns, rows = camera.lens.raw_pixels(
+        camera.K, camera.D, camera.R, camera.P[:, :3], camera.size
+    )
+    skew = camera.K[0, 1] / camera.K[1, 1]  # lenses leave it out
+    if skew:
+        columns += np.float32(skew) * (rows - np.float32(camera.K[1, 2]))
+    return columns, rows
 
 
 def rectified_points(camera: Camera, points_px: FloatArray) -> FloatArray:
@@ -159,7 +166,7 @@ def check_size(image: Image, size: tuple[int, int], side: str) -> None:
     if (width, height) != size:
         raise ImageError(
             f'{side} image is {width}x{height} px, its calibration is for {size[0]}x{size[1]};'
-            ' use the calibration of this resolution'
+            f' {scale_between((width, height), size)}'
         )
 
 
@@ -188,7 +195,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
         inner.append(sides / (sign * (nearest - centres)))
         outer.append(sides / (sign * (farthest - centres)))
     scale = (1 - alpha) * np.max(inner) + alpha * np.min(outer)
-    factors = np.array([[scale, 1, 1, scale], [1, scale, 1, 1], [1, 1, 1, 1]])
+    factors = np.array([[scale, 1, 1, scale], [1, scale, 1, scale], [1, 1, 1, 1]])
     left_camera, right_camera = (
         dataclasses.replace(camera, P=camera.P * factors) for camera in (rig.left, rig.right)
     )

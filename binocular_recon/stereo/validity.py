@@ -17,11 +17,14 @@ REMEDY = (
 )
 
 
-def few_matched_warning(matched_share: float) -> str:
-    """Return the warning for a result of which few pixels were matched, '' if enough were."""
+def few_matched_warning(matched_share: float, cause: str = '') -> str:
+    """Return the warning for a result of which few pixels were matched, '' if enough were.
+
+    ``cause`` says why, as far as it is known.
+    """
     if matched_share >= FEW_MATCHED:
         return ''
-    return f'only {matched_share:.0%} of the pixels could be matched; {REMEDY}'
+    return f'only {matched_share:.0%} of the pixels could be matched; {cause or REMEDY}'
 
 
 class Validity(IntFlag):

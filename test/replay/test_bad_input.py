@@ -150,5 +150,5 @@ def test_images_without_partner_are_counted(
     records = [r for i, r in enumerate(stereo_records(6)) if i not in (1, 7, 13)]
     bag = write_bag(tmp_path / 'bag', records)
     assert reconstruct(bag, tmp_path / 'out') == 0
-    assert capsys.readouterr().out.endswith('s per frame; 3 of 9 images have no partner\n')
+    assert capsys.readouterr().out.endswith('m to infinity; 3 of 9 images have no partner\n')
     assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['unpaired'] == 3

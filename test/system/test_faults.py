@@ -56,13 +56,13 @@ def bad_info(index: int, side: str, **members: Any) -> Any:
 BAD: dict[str, tuple[str, Callable[[int], dict[str, Any]], str]] = {
     'uncalibrated': (
         'bad calibration',
-        lambda i: {'left_info': bad_info(i, 'left', k=np.zeros(9))},
+        lambda i: {'left_info': bad_info(i, 'left', k=np.zeros(9), p=np.zeros(12))},
         'left camera: camera is not calibrated (fx = 0, fy = 0 px); calibrate it',
     ),
-    'length of D': (
+    'an entry of P': (
         'bad calibration',
-        lambda i: {'right_info': bad_info(i, 'right', d=[0.1, 0.2])},
-        'right camera: plumb_bob takes 0 or 4 or 5 distortion coefficients, got 2',
+        lambda i: {'right_info': bad_info(i, 'right', p=RIG.right.P.ravel() + 5 * np.eye(12)[1])},
+        'right camera: P[0, 1] is 5, it must be 0',
     ),
     'size of the pair': (
         'bad calibration',

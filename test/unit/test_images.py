@@ -6,6 +6,7 @@ import pytest
 
 from binocular_recon.errors import ImageError
 from binocular_recon.images import to_bgr8, to_grey
+from binocular_recon.inputs.levels import Levels
 
 
 def test_luminance_is_rec_601_and_not_rounded() -> None:
@@ -32,7 +33,8 @@ def test_no_data_stays_no_data() -> None:
 def test_colour_for_display() -> None:
     bgr = np.array([[[10, 20, 30]]], np.uint8)
     assert to_bgr8(bgr) is bgr
-    np.testing.assert_array_equal(to_bgr8(bgr.astype(np.uint16) * 257), bgr)
+    sixteen = bgr.astype(np.uint16) * 257
+    np.testing.assert_array_equal(to_bgr8(sixteen, Levels(0, 65535)), bgr)
     np.testing.assert_array_equal(to_bgr8(np.array([[7]], np.uint8)), [[[7, 7, 7]]])
     np.testing.assert_array_equal(to_bgr8(np.array([[[1, 2, 3, 0]]], np.uint8)), [[[1, 2, 3]]])
 

@@ -165,7 +165,7 @@ def test_by_how_much_stamps_miss() -> None:
         messages = [Message('left', 33 * k * MS), Message('right', 33 * k * MS + late)]
         assert feed(synchronizer, messages) == []
     text = 'stamps never match those of left: right is 3.200 ms later (nearest recent ones)'
-    assert synchronizer.explain() == (text, 0.003201)
+    assert synchronizer.explain() == (text, 0.003201, None)
 
 
 def test_by_how_much_stamps_miss_a_tolerance() -> None:
@@ -173,9 +173,9 @@ def test_by_how_much_stamps_miss_a_tolerance() -> None:
     for k in range(9):
         messages = [Message('right', (33 * k - 4) * MS), Message('left', 33 * k * MS)]
         assert feed(synchronizer, messages) == []
-    text, needed_s = synchronizer.explain() or ('', 0.0)
-    assert 'right is 4.000 ms earlier' in text
-    assert needed_s == 0.004
+    found = synchronizer.explain()
+    assert found is not None and 'right is 4.000 ms earlier' in found.text
+    assert found.tolerance_s == 0.004
 
 
 def test_nothing_misses_in_incomplete_sets_whose_stamps_agree() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import struct
 from binascii import crc32
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from rosbags.rosbag1.reader import Header, RecordType, decompressors
+from rosbags.rosbag2 import reader as rosbags_reader  # it knows this Python's zstd
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys.msg import normalize_msgtype
 
@@ -30,13 +32,14 @@ _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _MCAP_DATA_END = 3, 4, 
 
 
 class RawMessage(NamedTuple):
-    """One message of a bag file."""
+    """One message of a bag file; ``encoding`` is that of its bytes, as MCAP names it."""
 
     topic: str
     msgtype: str
     definition: str
     stamp_ns: int
     data: bytes
+    encoding: str = 'cdr'
 
 
 def file_format(path: Path) -> str:
@@ -83,7 +86,30 @@ def scan_messages(path: Path) -> Iterator[RawMessage]:
     else:
         messages = _scan_mcap(path) if kind == 'mcap' else _scan_ros1(path)
     for message in messages:
-        yield message if kind == 'ros1' else message._replace(data=decompressed(message.data))
+        compressible = message.encoding == 'cdr'
+        yield message._replace(data=decompressed(message.data)) if compressible else message
+
+
+def is_compressed(path: Path) -> bool:
+    """Tell whether a whole file is compressed by zstd; False if it cannot be read."""
+    try:
+        with path.open('rb') as file:
+            return file.read(4) == _ZSTD
+    except OSError:
+        return False
+
+
+def unpack(path: Path, folder: Path) -> Path:
+    """Decompress a file into a folder; raises a BagError if it is damaged or does not fit."""
+    target = folder / path.stem
+    try:
+        with rosbags_reader.zstd.open(path, 'rb') as packed, target.open('wb') as file:  # type: ignore[attr-defined]
+            shutil.copyfileobj(packed, file)
+    except (EOFError, OSError, rosbags_reader.zstd.ZstdError) as error:  # type: ignore[attr-defined]
+        raise BagError(
+            f'{path} cannot be decompressed into {folder}: {error}; repair it, or free the disk'
+        ) from error
+    return target
 
 
 def decompressed(cdr: bytes) -> bytes:
@@ -111,7 +137,9 @@ def _scan_mcap(path: Path) -> Iterator[RawMessage]:
 
 
 def _mcap_messages(
-    file: BinaryIO, schemas: dict[int, str], channels: dict[int, tuple[str, str]]
+    file: BinaryIO,
+    schemas: dict[int, tuple[str, str]],
+    channels: dict[int, tuple[str, str, str, str]],
 ) -> Iterator[RawMessage]:
     """Yield the messages of a file or, in recursion, of a chunk."""
     while head := file.read(9):
@@ -121,20 +149,37 @@ def _mcap_messages(
             return
         if kind == _MCAP_SCHEMA:
             (key,) = struct.unpack_from('<H', content)
-            schemas[key] = _mcap_string(content, 2)
+            name = _mcap_string(content, 2)
+            schemas[key] = name, _schema_text(content, 6 + len(name))
         elif kind == _MCAP_CHANNEL:
             key, schema = struct.unpack_from('<HH', content)
-            channels[key] = _mcap_string(content, 4), schemas[schema]
+            topic = _mcap_string(content, 4)
+            encoding = _mcap_string(content, 8 + len(topic.encode()))
+            name, definition = schemas.get(schema, ('', ''))  # JSON may have none
+            if encoding == 'ros1':
+                name = str(normalize_msgtype(name))
+            channels[key] = topic, name, definition, encoding
         elif kind == _MCAP_CHUNK:
             yield from _mcap_messages(BytesIO(_unpack_chunk(content)), schemas, channels)
         elif kind == _MCAP_MESSAGE:
             channel, _, stamp_ns = struct.unpack_from('<HIQ', content)
-            yield RawMessage(*channels[channel], '', stamp_ns, content[22:])
+            topic, name, definition, encoding = channels[channel]
+            yield RawMessage(topic, name, definition, stamp_ns, content[22:], encoding)
 
 
 def _mcap_string(content: bytes, offset: int) -> str:
     (size,) = struct.unpack_from('<I', content, offset)
     return content[offset + 4 : offset + 4 + size].decode()
+
+
+def _schema_text(content: bytes, offset: int) -> str:
+    """Return the definition of a message, behind the encoding of its schema; '' if binary."""
+    start = offset + 4 + len(_mcap_string(content, offset))
+    (size,) = struct.unpack_from('<I', content, start)
+    try:
+        return content[start + 4 : start + 4 + size].decode()
+    except UnicodeDecodeError:
+        return ''
 
 
 def _unpack_chunk(content: bytes) -> bytes:
@@ -172,7 +217,7 @@ def _ros1_messages(
             )
         elif kind == RecordType.MSGDATA:
             connection = connections[header.get_uint32('conn')]
-            yield RawMessage(*connection, header.get_time('time'), content)
+            yield RawMessage(*connection, header.get_time('time'), content, 'ros1')
 
 
 def _ros1_header(file: BinaryIO, length: bytes) -> Header:

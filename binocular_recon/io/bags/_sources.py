@@ -12,6 +12,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag1, QosDurability, 
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
+from binocular_recon.errors import BagError
 from binocular_recon.io.bags._salvage import decompressed, scan_messages
 
 # DDS does not transmit the depth of a publisher, so recorders store 0; rclpy's usual depth then.
@@ -35,6 +36,8 @@ class Topic(NamedTuple):
     qos: TopicQos
 
 
+# Encodings of messages that can be read, by their names in MCAP.
+_ENCODINGS = ('cdr', 'ros1')
 # A message as stored in its file: topic, time of recording in ns, bytes.
 Message = tuple[Topic, int, bytes]
 
@@ -89,20 +92,36 @@ class IntactSource:
 
 
 class DamagedSource:
-    """A file that rosbags cannot open, read from its start up to the damage."""
+    """A file that rosbags cannot open, read from its start, up to the damage if there is any.
 
-    def __init__(self, path: Path, *, ros1: bool, note: Callable[[Path, Exception], None]) -> None:
-        self.path, self.ros1 = path, ros1
+    Raises a BagError if the messages are neither those of ROS 1 nor of ROS 2.
+    """
+
+    def __init__(self, path: Path, *, note: Callable[[Path, Exception], None]) -> None:
+        self.path = path
         self.start_ns = 2**63 - 1
         self.definitions = {}
         counts: Counter[tuple[str, str]] = Counter()
+        foreign: dict[str, str] = {}
+        encodings = set()
         try:
             for message in scan_messages(path):
+                if message.encoding not in _ENCODINGS:
+                    foreign[message.topic] = f'{message.msgtype or "no type"}, {message.encoding}'
+                    continue
+                encodings.add(message.encoding)
                 counts[message.topic, message.msgtype] += 1
                 self.start_ns = min(self.start_ns, message.stamp_ns)
                 self.definitions[message.msgtype] = message.definition
         except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             note(path, error)
+        if foreign and not counts:
+            names = ', '.join(f'{topic} ({kind})' for topic, kind in sorted(foreign.items()))
+            raise BagError(
+                f'{path} holds {names}: only messages of ROS 1 and ROS 2 are read; record or'
+                ' convert it as a ROS 2 bag'
+            )
+        self.ros1 = encodings == {'ros1'}
         self.connections = [RecordedTopic(*key, count, []) for key, count in counts.items()]
 
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager
@@ -17,7 +18,7 @@ from rosbags.typesys.store import Typestore
 
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
-from binocular_recon.io.bags._salvage import file_format
+from binocular_recon.io.bags._salvage import file_format, is_compressed, unpack
 from binocular_recon.io.bags._sources import (
     DEFAULT_DEPTH,
     DamagedSource,
@@ -31,6 +32,7 @@ from binocular_recon.io.bags._sources import (
 __all__ = ['Bag', 'BagMessage', 'Topic', 'TopicQos', 'decode', 'ros2_types']
 
 _SUFFIXES = ('.mcap', '.db3', '.bag')
+_PACKED = ('.zstd', '.zst')
 
 
 class BagMessage(NamedTuple):
@@ -48,7 +50,7 @@ class Bag(AbstractContextManager['Bag']):
     ----------
     path : Path
         Folder of a ROS 2 bag (``metadata.yaml`` may be missing), ``.mcap``, ``.db3`` or ROS 1
-        ``.bag`` file.
+        ``.bag`` file; also one of these compressed by zstd.
 
     Attributes
     ----------
@@ -68,7 +70,13 @@ class Bag(AbstractContextManager['Bag']):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.damage: list[str] = []
-        self._sources = sorted(self._open(), key=lambda source: source.start_ns)
+        self._unpacked: list[tempfile.TemporaryDirectory[str]] = []
+        self._sources: list[Source] = []
+        try:
+            self._sources = sorted(self._open(), key=lambda source: source.start_ns)
+        except BaseException:
+            self.close()
+            raise
         counts: Counter[tuple[str, str]] = Counter()
         offers: defaultdict[tuple[str, str], list[TopicQos]] = defaultdict(list)
         for source in self._sources:
@@ -109,6 +117,8 @@ class Bag(AbstractContextManager['Bag']):
         """Close the files."""
         for source in self._sources:
             source.close()
+        for folder in self._unpacked:
+            folder.cleanup()
 
     def __exit__(self, *error: object) -> None:
         """Close the files."""
@@ -143,7 +153,7 @@ class Bag(AbstractContextManager['Bag']):
                 files = []
             else:
                 return
-        files = files or sorted(path for path in self.path.iterdir() if path.suffix in _SUFFIXES)
+        files = files or sorted(path for path in self.path.iterdir() if _is_bag_file(path))
         if not files:
             raise BagError('; '.join([*self._nothing_found(), *self.damage]))
         for path in files:
@@ -176,16 +186,18 @@ class Bag(AbstractContextManager['Bag']):
 
     def _nothing_found(self) -> list[str]:
         problem = f'{self.path} holds no bag file ({", ".join(_SUFFIXES)})'
-        if any(path.suffix == '.zstd' for path in self.path.iterdir()):
-            return [problem, 'decompress its .zstd files with zstd -d or restore metadata.yaml']
         return [problem, 'give the folder or file that was recorded']
 
     def _open_file(self, path: Path) -> Source:
+        if is_compressed(path):
+            folder = tempfile.TemporaryDirectory(prefix='binocular_recon_')
+            self._unpacked.append(folder)
+            path = unpack(path, Path(folder.name))
         ros1 = file_format(path) == 'ros1'
         try:
             return IntactSource(path, ros1=ros1)
         except Exception:  # noqa: BLE001 - as above
-            return DamagedSource(path, ros1=ros1, note=self._note_damage)
+            return DamagedSource(path, note=self._note_damage)
 
     def _note_damage(self, path: Path, error: Exception) -> None:
         reason = str(error) or type(error).__name__
@@ -195,6 +207,12 @@ class Bag(AbstractContextManager['Bag']):
         """Add a sentence to `damage`, once."""
         if sentence not in self.damage:
             self.damage.append(sentence)
+
+
+def _is_bag_file(path: Path) -> bool:
+    """Tell by its name whether a file is one of a bag, as recorded or compressed as a whole."""
+    name = path.with_suffix('') if path.suffix in _PACKED else path
+    return name.suffix in _SUFFIXES
 
 
 def _combined_qos(offers: list[TopicQos]) -> TopicQos:

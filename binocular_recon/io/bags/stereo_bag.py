@@ -10,11 +10,16 @@ from typing import Any, NamedTuple
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BagError, CalibrationError
 from binocular_recon.images import Image
+from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.io.bags.reader import Bag, Topic, decode
 from binocular_recon.io.bags.stereo_topics import StereoTopics
-from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
+from binocular_recon.io.messages.camera_infos import (
+    calibration_content,
+    rig_from_messages,
+    states_size,
+)
 from binocular_recon.io.messages.images import read_image, stamp_ns
-from binocular_recon.pairing import Synchronizer
+from binocular_recon.pairing import STANDING_STILL, Synchronizer
 
 # Images of one camera that wait for the other's: recorders interleave the cameras unevenly.
 _QUEUE_SIZE = 50
@@ -67,6 +72,9 @@ class StereoBag:
         Replaces the recorded calibration; required if ``topics`` names no camera infos.
     tolerance_ns : int
         Largest difference between the stamps of a pair; 0 pairs equal stamps only.
+    pairing : PairingOptions, optional
+        Whether stamps or the times of recording tell which images belong together, and what is
+        added to the stamps of the right camera.
 
     Attributes
     ----------
@@ -84,13 +92,20 @@ class StereoBag:
         rig: StereoRig | None = None,
         *,
         tolerance_ns: int = 0,
+        pairing: PairingOptions | None = None,
     ) -> None:
-        self._bag, self._rig = bag, rig
+        self._bag, self._rig, self._rectified = bag, rig, topics.rectified
+        self._size: tuple[int, int] | None = None
         recorded = {topic.name: topic for topic in bag.topics}
         self._images = [recorded[name] for name in topics.images]
         self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
+        pairing = pairing or PairingOptions()
         self._synchronizer = Synchronizer(
-            topics.images, queue_size=_QUEUE_SIZE, tolerance_ns=tolerance_ns
+            topics.images,
+            queue_size=_QUEUE_SIZE,
+            tolerance_ns=tolerance_ns,
+            by_arrival=pairing.pairing == 'arrival',
+            offsets_ns={topics.images[1]: pairing.stamp_offset_ns},
         )
         self.images_read = self._pairs = 0
         self._ended = False
@@ -115,7 +130,7 @@ class StereoBag:
 
         """
         infos = self._first_infos()
-        rig: StereoRig | None = self._rig or rig_from_messages(*infos)
+        rig: StereoRig | None = self._rig or self._rig_of(infos)
         for left, right in self._paired(infos):
             self._pairs += 1
             # those of the later image: by then the infos of both cameras have changed
@@ -129,27 +144,60 @@ class StereoBag:
 
     def _paired(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
         """Yield left and right images that belong together."""
-        for number, (topic, message) in enumerate(self._decoded([*self._images, *self._infos])):
+        decoded = self._decoded([*self._images, *self._infos])
+        for number, (topic, message, recorded_ns) in enumerate(decoded):
             if topic in self._infos:
                 infos = _replaced(infos, self._infos.index(topic), message)
                 continue
             self.images_read += 1
             arrival = _Arrival(number, message, infos)
-            yield from self._synchronizer.add(topic.name, stamp_ns(message.header), arrival)
+            stamp = stamp_ns(message.header)
+            yield from self._synchronizer.add(topic.name, stamp, arrival, recorded_ns)
+            self._refuse_clocks_that_stand_still(STANDING_STILL)
         yield from self._synchronizer.finish()
         self._ended = True
+        if self.images_read <= 2 * STANDING_STILL:  # a short recording
+            self._refuse_clocks_that_stand_still(max(2, self.images_read // 2))
+
+    def _refuse_clocks_that_stand_still(self, least: int) -> None:
+        still = self._synchronizer.standing_still(least)
+        if still:
+            raise BagError(
+                f'{self._bag.path}: {still}, or give --pairing arrival if a hardware trigger took'
+                ' them'
+            )
 
     def _why_unpaired(self) -> str:
         """Return why no images were paired."""
         mismatch = self._synchronizer.explain()
         if mismatch is None:
             return 'only one camera has images that can be read'
-        text, needed_s = mismatch
-        return f'{text}; pair them with --approximate-sync-tolerance-seconds {needed_s:g}'
+        remedies = []
+        if mismatch.tolerance_s is not None:
+            remedies.append(
+                f'pair them with --approximate-sync-tolerance-seconds {mismatch.tolerance_s:g}'
+            )
+        if mismatch.offset_s is not None:
+            remedies.append(f'give --stamp-offset {mismatch.offset_s:.6f}')
+            remedies.append('--pairing arrival if a hardware trigger took them')
+        if not remedies:
+            remedies.append(
+                'that is at least half a frame period, so no tolerance tells which belong together'
+            )
+        return f'{mismatch.text}; {", or ".join(remedies)}'
+
+    def _rig_of(self, infos: tuple[Any, ...]) -> StereoRig:
+        """Return the rig of camera infos; sizes that they do not state are those of an image."""
+        if self._size is None and not all(map(states_size, infos)):
+            message = next((found[1] for found in self._decoded(self._images[:1])), None)
+            if message is not None:
+                height, width = read_image(message, 'left image').image.shape[:2]
+                self._size = width, height
+        return rig_from_messages(*infos, size=self._size, rectified=self._rectified)
 
     def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
         try:
-            return rig_from_messages(*infos)
+            return self._rig_of(infos)
         except CalibrationError as error:
             self._bag.note(f'images with unusable camera infos are left out: {error}')
             return None
@@ -158,16 +206,18 @@ class StereoBag:
         """Return the first camera info of each side: images may have been recorded before it."""
         first: list[Any] = []
         for info in self._infos:
-            message = next((message for _, message in self._decoded([info])), None)
+            message = next((found[1] for found in self._decoded([info])), None)
             if message is None:
                 raise BagError(f'{self._bag.path}: no message on {info.name} can be read')
             first.append(message)
         return tuple(first)
 
-    def _decoded(self, topics: list[Topic]) -> Iterator[tuple[Topic, Any]]:
+    def _decoded(self, topics: list[Topic]) -> Iterator[tuple[Topic, Any, int]]:
+        """Yield topic, message and time of recording."""
         for message in self._bag.messages(topics):
             try:
-                yield message.topic, decode(message.topic.msgtype, message.cdr)
+                decoded = decode(message.topic.msgtype, message.cdr)
+                yield message.topic, decoded, message.stamp_ns
             except BagError as error:  # noqa: PERF203 - one message of many
                 self._bag.note(f'{message.topic.name}: {error}')
 

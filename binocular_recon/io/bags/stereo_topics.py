@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 from binocular_recon.errors import BagError
@@ -16,7 +17,14 @@ _LAYOUTS = (
     ('image_rect', 'camera_info_rect', True),
     ('image_rect', 'camera_info', True),
     ('image_rect_color', 'camera_info', True),
+    ('rect/image', 'rect/camera_info', True),
+    ('color/rect/image', 'color/rect/camera_info', True),
+    ('gray/rect/image', 'gray/rect/camera_info', True),
 )
+# Words of a topic's name that say whether its images are rectified; whole words: `image_correct`
+# is not.
+_RECTIFIED = re.compile(r'(?<![a-z])(rect|rectified)(?![a-z])')
+_RAW = re.compile(r'(?<![a-z])(raw|unrectified)(?![a-z])')
 _TRANSPORTS = ('', '/compressed')
 
 
@@ -100,7 +108,7 @@ def name_stereo_topics(
     infos : (str, str), optional
         Topics of the camera infos; by default ``camera_info`` beside the images.
     rectified : bool, optional
-        Whether the images are rectified; by default if their name contains ``rect``.
+        Whether the images are rectified; by default as `is_rectified` says.
     calibrated : bool
         Whether a calibration folder replaces the camera infos.
 
@@ -123,13 +131,28 @@ def name_stereo_topics(
         if have.get(name) not in types:
             raise BagError(f'there is no {name} of type {" or ".join(types)}; {_describe(topics)}')
     if rectified is None:
-        rectified = 'rect' in left[2]
+        rectified = is_rectified(images[0])
     return StereoTopics(images, None if calibrated else infos, rectified)
 
 
+def is_rectified(topic: str) -> bool:
+    """Tell whether images are rectified, by the words of their topic's name, the last ones first.
+
+    `image_rect`, `image_rect_raw` and `rect/image` are, `image_correct` and `rect/image_raw` are
+    not.
+    """
+    for part in reversed(topic.lower().removesuffix('/compressed').split('/')):
+        if _RECTIFIED.search(part):
+            return True
+        if _RAW.search(part):
+            return False
+    return False
+
+
 def _namespaces(have: dict[str, str]) -> set[str]:
-    """Return what precedes ``left/image_`` in topic names, with its last slash."""
-    spaces = (name.rpartition('left/image_') for name in have)
+    """Return what precedes the image of the left camera in topic names, with its last slash."""
+    layouts = (f'left/{image}' for image, _, _ in _LAYOUTS)
+    spaces = [name.rpartition(layout) for layout in layouts for name in have]
     return {space for space, found, _ in spaces if found and (not space or space[-1] == '/')}
 
 

@@ -9,13 +9,30 @@ import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.messages.images import assign_array
 
 
-def camera_from_message(info: Any, name: str = 'camera') -> Camera:
+def camera_from_message(
+    info: Any,
+    name: str = 'camera',
+    *,
+    size: tuple[int, int] | None = None,
+    rectified: bool = False,
+) -> Camera:
     """Return the camera of a CameraInfo, with ROS 2's ``k`` or ROS 1's ``K``.
 
     Binning and region of interest are applied: the camera is that of the image as sent.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo
+    name : str
+        Name of the camera in errors.
+    size : (int, int), optional
+        Width and height of the image, px, for a CameraInfo that states neither.
+    rectified : bool
+        Whether the image is rectified: then only P counts.
 
     Raises
     ------
@@ -30,23 +47,37 @@ def camera_from_message(info: Any, name: str = 'camera') -> Camera:
     roi = info.roi
     binning = np.array([max(1, info.binning_x), max(1, info.binning_y)])
     offset = np.array([roi.x_offset, roi.y_offset])
-    size = np.array([roi.width or info.width, roi.height or info.height]) // binning
+    stated = np.array([roi.width or info.width, roi.height or info.height]) // binning
+    if size is None or stated.any():
+        size = int(stated[0]), int(stated[1])
     if K.size == 9 and P.size == 12:
         K, P = K.reshape(3, 3), P.reshape(3, 4)
         for matrix in (K, P):
             matrix[:2, 2] -= offset
             matrix[:2] /= binning[:, None]
     try:
-        return Camera(int(size[0]), int(size[1]), K, D, R, P, info.distortion_model)
+        return camera_of_image(size, K, D, R, P, info.distortion_model, rectified=rectified)
     except CalibrationError as error:
         raise CalibrationError(f'{name}: {error}') from error
 
 
-def rig_from_messages(left: Any, right: Any) -> StereoRig:
-    """Return the rig of two CameraInfos; a CalibrationError names the camera at fault."""
-    return StereoRig(
-        camera_from_message(left, 'left camera'), camera_from_message(right, 'right camera')
+def rig_from_messages(
+    left: Any, right: Any, *, size: tuple[int, int] | None = None, rectified: bool = False
+) -> StereoRig:
+    """Return the rig of two CameraInfos; a CalibrationError names the camera at fault.
+
+    ``size`` and ``rectified`` are those of `camera_from_message`.
+    """
+    cameras = (
+        camera_from_message(info, f'{side} camera', size=size, rectified=rectified)
+        for side, info in (('left', left), ('right', right))
     )
+    return StereoRig(*cameras)
+
+
+def states_size(info: Any) -> bool:
+    """Tell whether a CameraInfo states the size of its image."""
+    return bool(info.width or info.height or info.roi.width or info.roi.height)
 
 
 def calibration_content(info: Any) -> tuple[Any, ...]:

@@ -24,10 +24,10 @@ class DecodedImage(NamedTuple):
 
     Attributes
     ----------
-    image : (H, W) or (H, W, C) uint8, uint16 or float32
+    image : (H, W) or (H, W, C) uint8, uint16, float32 or float64
         Grey, BGR or BGRA, whatever the order in the message.
     encoding : str
-        Encoding of the message; `bgr8` if that is a Bayer mosaic or YUV 4:2:2.
+        Encoding of the message; `bgr8` or `bgr16` if that is a Bayer mosaic or YUV 4:2:2.
 
     """
 
@@ -49,19 +49,28 @@ ENCODINGS = {
     'mono16': _Encoding('u2'),
     '16UC1': _Encoding('u2'),
     '32FC1': _Encoding('f4'),
+    '32FC3': _Encoding('f4', 3),
+    '64FC1': _Encoding('f8'),
     'bgr8': _Encoding('u1', 3),
     '8UC3': _Encoding('u1', 3),
     'bgra8': _Encoding('u1', 4),
     '8UC4': _Encoding('u1', 4),
     'bgr16': _Encoding('u2', 3),
     '16UC3': _Encoding('u2', 3),
+    '16UC4': _Encoding('u2', 4),
+    'bgra16': _Encoding('u2', 4),
     'rgb8': _Encoding('u1', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
     'rgba8': _Encoding('u1', 4, cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA),
     'rgb16': _Encoding('u2', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
+    'rgba16': _Encoding('u2', 4, cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA),
     'bayer_rggb8': _Encoding('u1', 1, cv2.COLOR_BayerBG2BGR),
     'bayer_bggr8': _Encoding('u1', 1, cv2.COLOR_BayerRG2BGR),
     'bayer_gbrg8': _Encoding('u1', 1, cv2.COLOR_BayerGR2BGR),
     'bayer_grbg8': _Encoding('u1', 1, cv2.COLOR_BayerGB2BGR),
+    'bayer_rggb16': _Encoding('u2', 1, cv2.COLOR_BayerBG2BGR),
+    'bayer_bggr16': _Encoding('u2', 1, cv2.COLOR_BayerRG2BGR),
+    'bayer_gbrg16': _Encoding('u2', 1, cv2.COLOR_BayerGR2BGR),
+    'bayer_grbg16': _Encoding('u2', 1, cv2.COLOR_BayerGB2BGR),
     'yuv422': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
     'uyvy': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
     'yuv422_yuy2': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
@@ -74,6 +83,7 @@ _PLAIN = {
     ('u1', 4): 'bgra8',
     ('u2', 1): 'mono16',
     ('u2', 3): 'bgr16',
+    ('u2', 4): 'bgra16',
 }
 
 
@@ -111,7 +121,7 @@ def read_image(message: Any, name: str = 'image') -> DecodedImage:
         if code is not None:
             image = cv2.cvtColor(image, code)
     if ENCODINGS[encoding].decode is not None and ENCODINGS[encoding].encode is None:
-        encoding = 'bgr8'
+        encoding = plain_encoding(image)
     return DecodedImage(image, encoding)
 
 
@@ -243,7 +253,8 @@ def _decode_file(message: Any, name: str) -> tuple[Image, str]:
             )
         return image, plain
     if spec.decode is not None and spec.encode is None:
-        return cv2.cvtColor(image, spec.decode), 'bgr8'
+        image = cv2.cvtColor(image, spec.decode)
+        return image, plain_encoding(image)
     return image, encoding
 
 

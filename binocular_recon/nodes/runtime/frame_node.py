@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.inputs.clocks import Mismatch
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.base_node import BaseNode
@@ -53,7 +54,15 @@ class FrameNode(BaseNode):
         }
         self._compressed = options.image_transport == 'compressed'
         self._synchronizer = Synchronizer(
-            list(self._inputs), queue_size=options.queue_size, tolerance_ns=options.tolerance_ns
+            list(self._inputs),
+            queue_size=options.queue_size,
+            tolerance_ns=options.tolerance_ns,
+            by_arrival=options.pairing == 'arrival',
+            offsets_ns={
+                topic: options.stamp_offset_ns
+                for topic in self._inputs
+                if topic.startswith('right/')
+            },
         )
         super().start()
         # even if they are not needed yet: this declares the QoS parameters of the inputs
@@ -68,22 +77,39 @@ class FrameNode(BaseNode):
         """Tell whether inputs are to be received now."""
         return self.wanted(*self._outputs)
 
-    def rig(self, left_info: Any, right_info: Any) -> StereoRig:
-        """Return the rig of two CameraInfos; it is made again only when they change."""
-        key = calibration_content(left_info), calibration_content(right_info)
+    def rig(
+        self, left_info: Any, right_info: Any, image: Any, *, rectified: bool = False
+    ) -> StereoRig:
+        """Return the rig of two CameraInfos; it is made again only when they change.
+
+        The size of ``image``, an array, is that of infos which state none. Of ``rectified`` images
+        only P counts.
+        """
+        size = image.shape[1], image.shape[0]
+        key = calibration_content(left_info), calibration_content(right_info), size
         if self._rig is None or self._rig[0] != key:
             self._rig = None
-            self._rig = key, rig_from_messages(left_info, right_info)
-            self.report_rig(self._rig[1])
+            rig = rig_from_messages(left_info, right_info, size=size, rectified=rectified)
+            self._rig = key, rig
+            self.report_rig(rig)
+        self.warn_of_rig(self._rig[1])
         return self._rig[1]
 
     def report_rig(self, rig: StereoRig) -> None:
-        """Show the calibration in use in the diagnostics."""
+        """Show the calibration in use in the diagnostics, and log once what was read otherwise."""
         self.health.state(
             'calibration',
             f'{rig.left.width}x{rig.left.height} px, f {rig.focal_px:.2f} px, baseline'
             f' {rig.baseline_m:.4f} m, cx_left - cx_right {rig.disparity_offset_px:.2f} px',
         )
+        self.health.state('calibration read otherwise', '; '.join(rig.notices))
+        for notice in rig.notices:
+            self.get_logger().info(notice)
+
+    def warn_of_rig(self, rig: StereoRig) -> None:
+        """Warn while frames are processed with a calibration that is probably wrong."""
+        for warning in rig.warnings:
+            self.health.warning(warning)
 
     def update_subscriptions(self) -> None:
         """Receive the inputs while they are needed, and only then."""
@@ -137,6 +163,9 @@ class FrameNode(BaseNode):
                 f'frames wait for {names}, which has a publisher but no messages; check that'
                 f' publisher or stop it: {names} is optional'
             )
+        still = self._synchronizer.standing_still()
+        if still:
+            return f'{still}, or set pairing to arrival if a hardware trigger takes them'
         too_late = self._explain_lateness()
         if too_late:
             return too_late
@@ -146,14 +175,30 @@ class FrameNode(BaseNode):
                 f'frames of {", ".join(self._inputs)} stay incomplete although their stamps match:'
                 ' messages are lost; set reliability to reliable on both sides or raise queue_size'
             )
-        text, needed_s = missing
+        return f'{missing.text}; {self._remedy(missing)}'
+
+    def _remedy(self, missing: Mismatch) -> str:
+        """Return the parameters to set so that stamps match."""
+        if missing.offset_s is not None:
+            exact = (
+                f'set stamp_offset to {missing.offset_s:.6f}, or pairing to arrival if a hardware'
+                ' trigger takes them together'
+            )
+            if missing.tolerance_s is None:
+                return exact
+        if missing.tolerance_s is None:
+            return (
+                'that is at least half a frame period, so no tolerance tells which belong'
+                ' together: trigger the cameras together and stamp them by one clock'
+            )
         remedy = (
             'raise approximate_sync_tolerance_seconds to'
             if self.options.of(InputOptions).tolerance_ns
             else 'trigger the cameras together or set approximate_sync with'
             ' approximate_sync_tolerance_seconds of'
         )
-        return f'{text}; {remedy} at least {needed_s:.6f}'
+        remedy = f'{remedy} at least {missing.tolerance_s:.6f}'
+        return f'{remedy}, or {exact}' if missing.offset_s is not None else remedy
 
     def _explain_lateness(self) -> str:
         """Say which messages arrive after their partners were dropped, '' if none do."""
@@ -186,7 +231,8 @@ class FrameNode(BaseNode):
         self.health.received(topic)
         for optional in self._optional:
             self._synchronizer.expect(optional, self._is_published(optional))
-        for frame in self._synchronizer.add(topic, stamp_ns(message.header), message):
+        arrived_ns = time.monotonic_ns()
+        for frame in self._synchronizer.add(topic, stamp_ns(message.header), message, arrived_ns):
             self.health.received(_SETS)
             if self._worker.submit(frame):
                 self._superseded += 1

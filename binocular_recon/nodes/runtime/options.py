@@ -11,6 +11,7 @@ import cv2
 from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
+from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.options import Options, option
 
 
@@ -27,7 +28,7 @@ class QueueOptions(Options):
 
 
 @dataclass(frozen=True)
-class InputOptions(QueueOptions):
+class InputOptions(PairingOptions, QueueOptions):
     """How a node receives and pairs its inputs."""
 
     image_transport: str = option(

@@ -151,7 +151,7 @@ def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
     assert results.sentence() == (
         f'2 frames in {tmp_path}: 99.0% of the pixels measured, 99.0% with a'
         ' disparity; points from 4.00 to 4.00 m (median 4.00 m),'
-        ' 1.00 s per frame'
+        ' 1.00 s per frame; baseline 0.5 m, focal length 80 px, searched from 0.635 m to infinity'
     )
     np.testing.assert_array_equal(
         read_pfm(tmp_path / '000000_disparity.pfm'), reconstruction().filtered.disparity_px

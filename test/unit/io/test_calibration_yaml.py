@@ -38,9 +38,9 @@ projection_matrix:
 
 def random_rig() -> StereoRig:
     generator = np.random.default_rng(5)
-    K = np.array([[500, 0, 320], [0, 501, 240], [0, 0, 1]]) + np.pad(
-        generator.normal(size=(2, 3)) / 3, ((0, 1), (0, 0))
-    )
+    noise = generator.normal(size=(2, 3)) / 3
+    noise[0, 1] = noise[1, 0] = 0
+    K = np.array([[500, 0, 320], [0, 501, 240], [0, 0, 1]]) + np.pad(noise, ((0, 1), (0, 0)))
     rotation = np.linalg.qr(generator.normal(size=(3, 3)))[0]
     P = np.hstack([K, np.zeros((3, 1))])
     right = P.copy()

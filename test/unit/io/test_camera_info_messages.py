@@ -16,6 +16,7 @@ from binocular_recon.io.messages.camera_infos import (
     camera_from_message,
     fill_camera_info,
     rig_from_messages,
+    states_size,
 )
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=3, nanosec=7), frame_id='left')
@@ -88,3 +89,43 @@ def test_binning_and_region_of_interest() -> None:
 def test_bad_camera_info(members: dict[str, Any], error: str) -> None:
     with pytest.raises(CalibrationError, match=error):
         rig_from_messages(info_message(rig().left), info_message(rig().right, **members))
+
+
+def test_infos_without_a_size_take_that_of_the_image() -> None:
+    left, right = (info_message(camera, width=0, height=0) for camera in (rig().left, rig().right))
+    assert not states_size(left)
+    assert rig_from_messages(left, right, size=(640, 480)).left.size == (640, 480)
+    with pytest.raises(CalibrationError, match='left camera: image size must be positive, got 0x'):
+        rig_from_messages(left, right)
+    stated = info_message(rig().left, height=360)
+    assert states_size(stated)
+    assert camera_from_message(stated, size=(9, 9)).size == (640, 360)
+
+
+def test_binning_that_was_already_applied_is_said() -> None:
+    """The driver halves K and P, and states binning too."""
+    full = rig()
+    infos = []
+    for camera in (full.left, full.right):
+        message = info_message(camera, binning_x=2, binning_y=2)
+        for member in 'kp':
+            values = np.array(getattr(message, member)).reshape(3, -1)
+            values[:2] /= 2
+            setattr(message, member, values.ravel())
+        infos.append(message)
+    twice = rig_from_messages(*infos)
+    assert twice.left.size == (320, 240)
+    assert [text[:11] for text in twice.warnings] == ['left camera', 'right camer']
+    assert 'as in a calibration for 160x120 px (scale 0.50)' in twice.warnings[0]
+
+
+def test_infos_of_rectified_images_need_only_p() -> None:
+    left, right = (
+        info_message(camera, k=np.zeros(9), d=[1.0, 2.0], r=np.zeros(9))
+        for camera in (rig().left, rig().right)
+    )
+    found = rig_from_messages(left, right, rectified=True)
+    assert found.baseline_m == pytest.approx(0.5)
+    assert [text[:11] for text in found.notices] == ['left camera', 'right camer']
+    with pytest.raises(CalibrationError, match='left camera: camera is not calibrated'):
+        rig_from_messages(left, right)

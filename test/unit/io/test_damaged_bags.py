@@ -131,11 +131,19 @@ def test_one_damaged_file_of_a_split_recording_costs_only_its_own_end(tmp_path: 
     assert 320 < len(stamps) < 480
 
 
-def test_compressed_files_without_metadata_can_be_decompressed(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / 'bag', stereo_records(1), 'mcap, file compressed')
+@pytest.mark.parametrize('fmt', ['mcap, file compressed', 'sqlite3, file compressed'])
+def test_compressed_files_are_read_without_metadata_and_alone(tmp_path: Path, fmt: str) -> None:
+    path = write_bag(tmp_path / 'bag', stereo_records(2), fmt)
     (path / 'metadata.yaml').unlink()
-    with pytest.raises(BagError, match=r'decompress its \.zstd files with zstd -d'):
-        Bag(path)
+    file = data_file(path)
+    assert file.suffix == '.zstd'
+    for source in (path, file):
+        with Bag(source) as bag:
+            assert len(list(bag.messages())) == 8
+            assert bag.damage == []
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(BagError, match=r'\.zstd cannot be decompressed into .*: .*; repair it'):
+        Bag(file)
 
 
 def test_what_is_not_a_bag_is_named(tmp_path: Path) -> None:

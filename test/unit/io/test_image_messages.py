@@ -245,3 +245,44 @@ def test_end_of_a_thumbnail_is_not_the_end() -> None:
 def test_file_of_an_unknown_kind() -> None:
     with pytest.raises(ImageError, match="cannot be decoded: 9 bytes of 'h264'"):
         read_image(compressed(b'not image', 'h264'))
+
+
+@pytest.mark.parametrize('pattern', ['rggb', 'bggr', 'gbrg', 'grbg'])
+def test_mosaics_of_16_bits_are_those_of_8_bits(pattern: str) -> None:
+    mosaic = np.random.default_rng(2).integers(0, 256, (16, 24), np.uint8)
+    eight, sixteen = (
+        read_image(
+            SimpleNamespace(
+                header=None,
+                width=24,
+                height=16,
+                encoding=f'bayer_{pattern}{bits}',
+                step=24 * bits // 8,
+                is_bigendian=0,
+                data=values.tobytes(),
+            )
+        )
+        for bits, values in ((8, mosaic), (16, mosaic.astype('<u2') * 16))
+    )
+    assert (eight.encoding, sixteen.encoding) == ('bgr8', 'bgr16')
+    assert np.abs(sixteen.image / 16 - eight.image).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ('encoding', 'order'), [('rgba16', [2, 1, 0, 3]), ('bgra16', [0, 1, 2, 3])]
+)
+def test_images_of_16_bits_with_alpha(encoding: str, order: list[int]) -> None:
+    values = np.random.default_rng(3).integers(0, 65536, (5, 7, 4)).astype('<u2')
+    message = SimpleNamespace(
+        header=None,
+        width=7,
+        height=5,
+        encoding=encoding,
+        step=56,
+        is_bigendian=0,
+        data=values.tobytes(),
+    )
+    found = read_image(message)
+    np.testing.assert_array_equal(found.image, values[..., order])
+    assert found.encoding == encoding
+    assert to_grey(found.image).shape == (5, 7)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.errors import BagError, CalibrationError, ImageError
+from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.bags.stereo_bag import StereoBag, StereoFrame
 from binocular_recon.io.bags.stereo_topics import find_stereo_topics
@@ -174,3 +175,50 @@ def test_a_calibration_from_elsewhere_replaces_the_recorded_one(tmp_path: Path) 
         topics = find_stereo_topics(bag.topics, calibrated=True)
         (pair,) = StereoBag(bag, topics, other)
     assert pair.rig is other
+
+
+def late(topic: str, ahead_ns: int, frames: int = 8) -> list[Record]:
+    """Return images recorded as they were taken, with stamps of a clock that is ahead."""
+    image = image_pair(0)[0 if topic == LEFT else 1]
+    return [
+        (
+            topic,
+            image_message(image, START_NS + k * PERIOD_NS + ahead_ns),
+            START_NS + k * PERIOD_NS,
+        )
+        for k in range(frames)
+    ]
+
+
+def test_clocks_that_differ_are_measured(tmp_path: Path) -> None:
+    ahead_ns = 3_600_060_000_000
+    path = write_bag(tmp_path / 'bag', [*infos(), *late(LEFT, 0), *late(RIGHT, ahead_ns)])
+    text = (
+        r'its clock is 3600060\.000 ms ahead, a constant \(spread 0\.000 ms\); give --stamp-offset'
+        r' -3600\.060000, or --pairing arrival if a hardware trigger took them$'
+    )
+    with pytest.raises(BagError, match=text):
+        pairs_of(path)
+    for options in (PairingOptions(stamp_offset=-3600.06), PairingOptions(pairing='arrival')):
+        with Bag(path) as bag:
+            found = list(StereoBag(bag, find_stereo_topics(bag.topics), pairing=options))
+        assert [pair.stamp_ns for pair in found] == [START_NS + k * PERIOD_NS for k in range(8)]
+
+
+@pytest.mark.parametrize('frames', [2, 3, 20])
+def test_stamps_that_do_not_advance_are_refused(tmp_path: Path, frames: int) -> None:
+    images = image_pair(0)
+    records = infos()
+    for k in range(frames):
+        for topic, image in zip((LEFT, RIGHT), images, strict=True):
+            records.append((topic, image_message(image, 0), START_NS + k * PERIOD_NS))
+    path = write_bag(tmp_path / 'bag', records)
+    text = (
+        r'stamps of /left/image_raw do not advance: all are 0\.000000000 s, .* let the driver'
+        r' stamp them, or give --pairing arrival'
+    )
+    with pytest.raises(BagError, match=text):
+        pairs_of(path)
+    with Bag(path) as bag:
+        options = PairingOptions(pairing='arrival')
+        assert len(list(StereoBag(bag, find_stereo_topics(bag.topics), pairing=options))) == frames

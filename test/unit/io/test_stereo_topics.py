@@ -10,6 +10,7 @@ from binocular_recon.io.bags.reader import Topic, TopicQos
 from binocular_recon.io.bags.stereo_topics import (
     StereoTopics,
     find_stereo_topics,
+    is_rectified,
     name_stereo_topics,
 )
 
@@ -104,3 +105,38 @@ def test_named_topics_are_checked() -> None:
         name_stereo_topics(have, ('/a/image_rect', '/a/image_rect'))
     infos = ('/a/camera_info', '/a/camera_info')
     assert name_stereo_topics(have, images, infos).rectified
+
+
+@pytest.mark.parametrize(
+    ('topic', 'rectified'),
+    [
+        ('/left/image_rect', True),
+        ('/left/image_rect/compressed', True),
+        ('/left/image_rect_color', True),
+        ('/infra1/image_rect_raw', True),
+        ('/zed/left/color/rect/image', True),
+        ('/zed/left/rect/image', True),
+        ('/cam0/rectified/image', True),
+        ('/left/image_correct', False),
+        ('/left/image_corrected', False),
+        ('/direct/left/image', False),
+        ('/rect_rig/left/image_raw', False),
+        ('/zed/left/color/raw/image', False),
+        ('/left/image_mono', False),
+        ('/left/image_unrectified', False),
+    ],
+)
+def test_names_say_whether_images_are_rectified(topic: str, rectified: bool) -> None:
+    assert is_rectified(topic) == rectified
+    right = topic.replace('left', 'right') if 'left' in topic else f'{topic}2'
+    images = (topic, right)
+    infos = ('/a/camera_info', '/b/camera_info')
+    assert name_stereo_topics(topics(*images, *infos), images, infos).rectified == rectified
+
+
+def test_rectified_images_in_a_folder_of_their_own_are_found() -> None:
+    for inner in ('rect', 'color/rect'):
+        have = topics(*rig('/zed', f'{inner}/image', f'{inner}/camera_info'))
+        found = find_stereo_topics(have)
+        assert found.images == (f'/zed/left/{inner}/image', f'/zed/right/{inner}/image')
+        assert found.rectified

@@ -76,9 +76,11 @@ def missing_frames(
     return FrameNode.explain_missing_frames(node)
 
 
-def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
+def add(
+    synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0, *, still: bool = False
+) -> None:
     for k in range(20):
-        synchronizer.add('left', 10**8 * k, k)
+        synchronizer.add('left', 0 if still else 10**8 * k, k)
         if k >= lag:
             synchronizer.add('disparity', 10**8 * (k - lag) + miss_ns, k)
 
@@ -114,12 +116,44 @@ def add(synchronizer: Synchronizer, lag: int = 0, miss_ns: int = 0) -> None:
                 ' approximate_sync_tolerance_seconds of at least 0.002000'
             ),
         ),
+        (
+            partial(add, miss_ns=50_000_000),
+            {},
+            0,
+            (
+                'stamps never match those of left: disparity is 50.000 ms later (nearest recent'
+                ' ones); that is at least half a frame period, so no tolerance tells which belong'
+                ' together: trigger the cameras together and stamp them by one clock'
+            ),
+        ),
+        (
+            partial(add, still=True),
+            {},
+            0,
+            (
+                'stamps of left do not advance: all are 0.000000000 s, so nothing tells which'
+                ' images belong together; let the driver stamp them, or set pairing to arrival if'
+                ' a hardware trigger takes them'
+            ),
+        ),
     ],
 )
 def test_why_there_are_no_frames(
     feed: Callable[[Synchronizer], None], silent: dict[str, float], publishers: int, text: str
 ) -> None:
     assert missing_frames(feed, silent, publishers) == text
+
+
+def test_the_remedy_for_a_constant_is_a_parameter() -> None:
+    from binocular_recon.inputs.clocks import Mismatch
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
+    from binocular_recon.nodes.runtime.options import InputOptions
+
+    node: Any = SimpleNamespace(options=Mock(of=lambda _: InputOptions()))
+    text = FrameNode._remedy(node, Mismatch('', None, -0.06))
+    assert text.startswith('set stamp_offset to -0.060000, or pairing to arrival')
+    text = FrameNode._remedy(node, Mismatch('', 0.03, -0.03))
+    assert 'at least 0.030000, or set stamp_offset to -0.030000' in text
 
 
 @pytest.mark.parametrize(
@@ -153,6 +187,7 @@ def test_what_prevents_frames(
     node.count_publishers = lambda _: 1
     node.health = Mock(silent=lambda: ages_s)
     node._explain_lateness = lambda: too_late
+    node._synchronizer = Synchronizer(['left'], queue_size=5)
     reported = FrameNode.condition(node)
     assert reported[0] == getattr(DiagnosticStatus, level) and text in reported[1]
     assert node.health.log.called == (level != 'OK')

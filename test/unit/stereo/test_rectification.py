@@ -273,5 +273,33 @@ def test_features_of_a_real_unrectified_rig_lie_on_common_rows(shared_data: Path
 
 def test_rig_of_swapped_cameras_is_refused() -> None:
     rig = make_rig()[0]
-    with pytest.raises(CalibrationError, match='left and right are not swapped'):
+    with pytest.raises(
+        CalibrationError, match='left and right are exchanged; exchange the cameras'
+    ):
         StereoRig(rig.right, rig.left)
+
+
+@pytest.mark.parametrize('model', DISTORTIONS)
+def test_skew_of_the_raw_camera_counts(model: str) -> None:
+    """OpenCV leaves K[0, 1] out; it moves a point by K[0, 1] times its distorted y."""
+    straight = make_rig(model)[0].left
+    skewed = K_LEFT.copy()
+    skewed[0, 1] = 2.5
+    camera = dataclasses.replace(straight, K=skewed)
+    map_x, map_y = rectification_maps(straight)
+    found_x, found_y = rectification_maps(camera)
+    np.testing.assert_array_equal(found_y, map_y)
+    np.testing.assert_allclose(found_x - map_x, 2.5 / 252 * (map_y - 103), atol=1e-4)
+    pixels = np.array([[100.0, 60], [200, 150], [10, 190]])
+    raw = np.stack(
+        [m[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] for m in (found_x, found_y)]
+    )
+    np.testing.assert_allclose(rectified_points(camera, raw.T.astype(float)), pixels, atol=1e-3)
+
+
+def test_images_of_another_size_say_the_scale() -> None:
+    rectifier = Rectifier(make_rig()[0])
+    for size, text in (((400, 640), 'scale K and P by 2$'), ((400, 500), 'so it was cropped')):
+        image = np.zeros(size, np.uint8)
+        with pytest.raises(ImageError, match=f'its calibration is for 320x200; .*{text}'):
+            rectifier(image, image)

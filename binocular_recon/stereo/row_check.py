@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""By how many rows matched points of a rectified pair differ: 0 if the calibration still holds."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.images import FloatImage
+
+# A larger offset (median of the matches, px) is worth a warning.
+MOST_ROWS_PX = 0.5
+# Points are the best corners of the cells of a grid; with fewer of them nothing is said.
+_CELLS, LEAST_POINTS = (24, 16), 30
+# Half sides of the window that is compared, and of the shifts that are tried, px.
+_HALF, _SHIFT_X, _SHIFT_Y = 6, 2, 6
+# Least correlation of a match.
+_LEAST_SCORE = 0.8
+
+
+class RowOffset(NamedTuple):
+    """By how much the rows of matched points differ.
+
+    Attributes
+    ----------
+    median_px : float
+        Median of row right minus row left, px; NaN with too few points.
+    spread_px : float
+        Median of its absolute value, px, which also shows a turn about the optical axis.
+    points : int
+        Number of points.
+
+    """
+
+    median_px: float = np.nan
+    spread_px: float = np.nan
+    points: int = 0
+
+    @property
+    def warning(self) -> str:
+        """Why the rows do not correspond; empty if they do or too few points were found."""
+        if not self.spread_px > MOST_ROWS_PX:
+            return ''
+        turned = abs(self.median_px) < self.spread_px / 2
+        what = (
+            f'differ by {self.spread_px:.2f} px, up in one part of the image and down in another:'
+            ' a camera has turned'
+            if turned
+            else f'differ by {abs(self.median_px):.2f} px: the right image is'
+            f' {"lower" if self.median_px > 0 else "higher"}'
+        )
+        return (
+            f'rows of left and right {what} (median of {self.points} matches, at most'
+            f' {MOST_ROWS_PX:g} px); calibrate again, or use the calibration of these images'
+        )
+
+
+def measure_rows(left: FloatImage, right: FloatImage, disparity_px: FloatImage) -> RowOffset:
+    """Measure by how many rows matched points differ, on corners all over the image.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Rectified grey images; NaN = no data.
+    disparity_px : (H, W) float32
+        Measured disparities; NaN = none.
+
+    """
+    points = _corners(left, disparity_px)
+    right = np.nan_to_num(right)
+    side = 2 * _HALF + 1
+    around = (side + 2 * _SHIFT_X, side + 2 * _SHIFT_Y)
+    height, width = left.shape
+    offsets = []
+    for x, y in points:
+        x_right = float(x - disparity_px[y, x])
+        if not (
+            _HALF <= x < width - _HALF
+            and _HALF + _SHIFT_X < x_right < width - _HALF - _SHIFT_X - 1
+            and _HALF + _SHIFT_Y <= y < height - _HALF - _SHIFT_Y
+        ):
+            continue
+        window = left[y - _HALF : y + _HALF + 1, x - _HALF : x + _HALF + 1]
+        if np.isnan(window).any():
+            continue
+        place = cv2.getRectSubPix(right, around, (x_right, float(y)))
+        offset = _best_shift(cv2.matchTemplate(place, window, cv2.TM_CCOEFF_NORMED))
+        if offset is not None:
+            offsets.append(offset)
+    if len(offsets) < LEAST_POINTS:
+        return RowOffset(points=len(offsets))
+    found = np.array(offsets)
+    return RowOffset(float(np.median(found)), float(np.median(np.abs(found))), len(offsets))
+
+
+def _corners(left: FloatImage, disparity_px: FloatImage) -> list[tuple[int, int]]:
+    """Return column and row of the best corner of each cell that has a disparity."""
+    strength = cv2.cornerMinEigenVal(np.nan_to_num(left), 5)
+    strength[~np.isfinite(disparity_px)] = 0
+    height, width = left.shape
+    columns = np.linspace(0, width, _CELLS[0] + 1).astype(int)
+    rows = np.linspace(0, height, _CELLS[1] + 1).astype(int)
+    points = []
+    for top, bottom in itertools.pairwise(rows):
+        for start, stop in itertools.pairwise(columns):
+            cell = strength[top:bottom, start:stop]
+            if cell.size and cell.max() > 0:
+                row, column = np.unravel_index(int(cell.argmax()), cell.shape)
+                points.append((start + int(column), top + int(row)))
+    return points
+
+
+def _best_shift(scores: npt.NDArray[np.float32]) -> float | None:
+    """Return the row of the best score from the middle, px, None if there is no clear one."""
+    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+    if not (0 < row < len(scores) - 1 and scores[row, column] >= _LEAST_SCORE):
+        return None
+    above, best, below = (float(scores[row + step, column]) for step in (-1, 0, 1))
+    curvature = above - 2 * best + below
+    if curvature >= 0:
+        return None
+    return float(row) - _SHIFT_Y + (above - below) / (2 * curvature)
