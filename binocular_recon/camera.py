@@ -224,6 +224,11 @@ class StereoRig:
                 f' {self.right.width}x{self.right.height}; both must have the same size'
             )
         check_baseline(self.left.P, self.right.P)
+        if self.covariance is not None and self.turns:
+            raise CalibrationError(
+                'the covariance of a rig with one camera above the other cannot be used; delete'
+                ' calibration.json to go on without it'
+            )
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -260,6 +261,16 @@ def test_the_covariance_of_another_rig_is_refused() -> None:
             continue
         with pytest.raises(CalibrationError, match='that of another rig'):
             add_covariance(rig, calibrated.covariance)
+
+
+def test_a_rig_with_one_camera_above_the_other_has_no_covariance() -> None:
+    _, calibrated = rig_of('plumb_bob')
+    P = calibrated.right.P.copy()
+    P[1, 3], P[0, 3] = P[0, 3], 0.0
+    above = replace(calibrated.right, P=P)
+    assert StereoRig(calibrated.left, above).turns == 1
+    with pytest.raises(CalibrationError, match=r'one camera above the other .* delete'):
+        StereoRig(calibrated.left, above, covariance=calibrated.covariance)
 
 
 def test_a_matrix_that_is_no_covariance_is_refused() -> None:
