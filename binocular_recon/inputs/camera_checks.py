@@ -196,8 +196,8 @@ def check_baseline(left_P: FloatArray, right_P: FloatArray) -> None:
     if abs(shift[1 - along]) > _MOST_ACROSS * max(abs(shift[along]), 1e-9):
         raise CalibrationError(
             f'P_right[1, 3] - P_left[1, 3] is {-shift[1]:g} px m and {-shift[0]:g} px m in'
-            ' P[0, 3]; one must be 0: the pair is not rectified; rectify so that the baseline lies along'
-            ' rows or columns'
+            ' P[0, 3]; one must be 0: the pair is not rectified; rectify so that the baseline'
+            ' lies along rows or columns'
         )
     if max(abs(shift[2]), abs(left[2])) > _MOST_AHEAD_M:
         raise CalibrationError(

@@ -239,8 +239,8 @@ def _less_sharp(images: dict[str, FloatImage], least: float) -> str:
 
 def _sharpness(image: FloatImage) -> float:
     """Return the step between neighbours as a share of the contrast."""
-    steps = np.nanmean(np.abs(np.diff(image, axis=1)))
-    return float(steps / max(np.nanstd(image), 1e-6))
+    steps = float(np.nanmean(np.abs(np.diff(image, axis=1))))
+    return steps / max(float(np.nanstd(image)), 1e-6)
 
 
 def _less(
