@@ -10,6 +10,7 @@ import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
+from binocular_recon.errors import ImageError
 from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
@@ -224,7 +225,7 @@ def estimate_disparity(
     Raises
     ------
     ImageError
-        If the sizes or dtypes do not fit.
+        If the sizes or dtypes do not fit, or no pixel can be matched.
 
     """
     found = (levels or LevelTracker(config.images)).update(left, right)
@@ -238,6 +239,8 @@ def estimate_disparity(
     findings = (check or PairCheck()).update(
         left_grey, right_grey, matched, config.match, infinity_px
     )
+    if findings.cause and not matched.matched_share:
+        raise ImageError(f'no pixel could be matched; {findings.cause}')
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
         matched.disparity_px,
