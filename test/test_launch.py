@@ -169,6 +169,7 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
             'queue_size': 80,
             'max_depth': 30,
             'use_color': False,
+            'calibration': '/home/me/rig',
             'use_sim_time': True,
         },
     }

@@ -18,13 +18,24 @@ FloatArray = npt.NDArray[np.float64]
 # Other programs' names of the lens models, in lower case without anything but letters and digits.
 _ALIASES = {
     **dict.fromkeys(
-        ('plumbbob', 'radtan', 'radialtangential', 'brown', 'brownconrady'), 'plumb_bob'
+        ('plumbbob', 'radtan', 'radialtangential', 'brown', 'brownconrady', 'opencv'), 'plumb_bob'
     ),
     **dict.fromkeys(('rational', 'rationalpolynomial'), 'rational_polynomial'),
     **dict.fromkeys(
-        ('equidistant', 'equi', 'fisheye', 'kannalabrandt', 'kannalabrandt4'), 'equidistant'
+        (
+            'equidistant',
+            'equidistant4',
+            'equi',
+            'fisheye',
+            'opencvfisheye',
+            'kannalabrandt',
+            'kannalabrandt4',
+        ),
+        'equidistant',
     ),
 }
+# Names of models that leave a point where it is if all coefficients are 0.
+_UNDISTORTED = ('none', 'null', 'pinhole', 'perspective', 'undistorted', 'inversebrownconrady')
 # Entries of matrices that must be 0 or 1 may be off by rounding: by this much in px, or in units
 # of the last row.
 _ROUNDING_PX, _ROUNDING = 0.01, 1e-6
@@ -67,7 +78,10 @@ def known_lens(name: str, D: FloatArray) -> tuple[str, FloatArray, list[str]]:
     notices: list[str] = []
     if not name and not D.any():  # as simulators leave it
         return 'plumb_bob', np.zeros(5), notices
-    found = name if name in LENSES else _ALIASES.get(re.sub('[^a-z0-9]', '', name.lower()), '')
+    plain = re.sub('[^a-z0-9]', '', name.lower())
+    found = name if name in LENSES else _ALIASES.get(plain, '')
+    if plain in _UNDISTORTED and not D.any():
+        return 'plumb_bob', np.zeros(5), [f'distortion model {name!r} is read as no distortion']
     if not name:
         found = next((one for one in LENSES if D.size and D.size in LENSES[one].counts), '')
     if found not in LENSES:

@@ -19,6 +19,7 @@ def camera_of_image(
     distortion_model: str,
     *,
     rectified: bool = False,
+    notices: tuple[str, ...] = (),
 ) -> Camera:
     """Return the camera of an image; of a rectified image only P counts.
 
@@ -31,6 +32,8 @@ def camera_of_image(
     rectified : bool
         Whether the image is rectified. K is then that of P, without distortion; a fault of the
         other members becomes a notice.
+    notices : tuple of str
+        What was read in another way than it is written so far.
 
     Raises
     ------
@@ -40,7 +43,7 @@ def camera_of_image(
     """
     K, D, R, P = (np.asarray(values, np.float64) for values in (K, D, R, P))
     if not rectified or P.size != 12:
-        return Camera(*size, K, D, R, P, distortion_model)
+        return Camera(*size, K, D, R, P, distortion_model, notices)
     fault = ''
     try:
         Camera(*size, K, D, R, P, distortion_model)
@@ -50,5 +53,5 @@ def camera_of_image(
         else:
             raise
     P = P.reshape(3, 4)
-    notices = (fault,) if fault else ()
+    notices = (*notices, fault) if fault else notices
     return Camera(*size, P[:, :3], np.zeros(5), np.eye(3), P, notices=notices)

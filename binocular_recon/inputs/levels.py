@@ -31,7 +31,7 @@ _OVERSHOOT = 1.5
 # Brighter or darker pixels than these are ignored: hot ones and single damaged ones.
 _IGNORED_SHARE, _IGNORED_LEAST = 2e-5, 4
 # At most so many samples of an image are looked at.
-_SAMPLES = 250_000
+_SAMPLES = 60_000
 # Levels that lie in less than this share of the range, farther from 0 than they are apart, are
 # counts with an offset, if white is at least this; black and white then lie this share of the
 # span beyond the levels.

@@ -91,12 +91,16 @@ class CalibrationNode(FrameNode):
 
     def _make_services(self, options: RodOptions) -> CalibrationServices:
         folder = options.calibration
+        rig_in_use = read_rig(Path(folder).expanduser()) if folder else None
+        if rig_in_use is not None:
+            self.report_rig(rig_in_use)
+            self.warn_of_rig(rig_in_use)
         return CalibrationServices(
             self._board,
             Path(options.output).expanduser(),
             (options.left_camera_name, options.right_camera_name),
             lens=options.lens,
-            rig_in_use=read_rig(Path(folder).expanduser()) if folder else None,
+            rig_in_use=rig_in_use,
             explain_silence=self._explain_silence,
             on_state=self.health.state,
             send_to_cameras=CameraDrivers(self).send,

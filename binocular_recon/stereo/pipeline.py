@@ -10,6 +10,7 @@ import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
+from binocular_recon.errors import ImageError
 from binocular_recon.images import Image, mark_empty, to_grey
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
@@ -215,16 +216,17 @@ def estimate_disparity(
     turns : int
         `StereoRig.turns`: the pair is matched turned, results are those of the images as given.
     check_range : bool
-        Whether to check that a given search range is large enough.
+        Whether to check that a given search range is large enough, and without ``check`` to
+        examine the pair.
     levels : LevelTracker, optional
         Black and white of a stream; its own options apply, not those in ``config``.
     check : PairCheck, optional
-        What is wrong with the pairs of a stream.
+        What is wrong with the pairs of a stream, in place of this pair alone.
 
     Raises
     ------
     ImageError
-        If the sizes or dtypes do not fit.
+        If the sizes or dtypes do not fit, or no pixel can be matched.
 
     """
     found = (levels or LevelTracker(config.images)).update(left, right)
@@ -235,9 +237,12 @@ def estimate_disparity(
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
     searched = chosen.search.applied_to(config.match)
     matched = match(left_grey, right_grey, searched)  # eq. 10
-    findings = (check or PairCheck()).update(
-        left_grey, right_grey, matched, config.match, infinity_px
-    )
+    examined = check or (PairCheck() if check_range else None)
+    findings = NOTHING
+    if examined:
+        findings = examined.update(left_grey, right_grey, matched, config.match, infinity_px)
+    if findings.cause and not matched.matched_share:
+        raise ImageError(f'no pixel could be matched; {findings.cause}')
     wls = wls or DisparityFilter(config.filter)
     filtered = wls(  # eq. 11-15
         matched.disparity_px,

@@ -15,7 +15,7 @@ from binocular_recon.images import FloatImage
 # A larger offset (median of the matches, px) is worth a warning.
 MOST_ROWS_PX = 0.5
 # Points are the best corners of the cells of a grid; with fewer of them nothing is said.
-_CELLS, LEAST_POINTS = (24, 16), 30
+_CELLS, LEAST_POINTS = (18, 12), 30
 # Half sides of the window that is compared, and of the shifts that are tried, px.
 _HALF, _SHIFT_X, _SHIFT_Y = 6, 2, 6
 # Least correlation of a match.

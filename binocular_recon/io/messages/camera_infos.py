@@ -22,7 +22,8 @@ def camera_from_message(
 ) -> Camera:
     """Return the camera of a CameraInfo, with ROS 2's ``k`` or ROS 1's ``K``.
 
-    Binning and region of interest are applied: the camera is that of the image as sent.
+    Binning and region of interest are applied: the camera is that of the image as sent. They are
+    not if the image has the size of the whole sensor nevertheless.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def camera_from_message(
     name : str
         Name of the camera in errors.
     size : (int, int), optional
-        Width and height of the image, px, for a CameraInfo that states neither.
+        Width and height of the image, px, where they are known.
     rectified : bool
         Whether the image is rectified: then only P counts.
 
@@ -48,7 +49,14 @@ def camera_from_message(
     binning = np.array([max(1, info.binning_x), max(1, info.binning_y)])
     offset = np.array([roi.x_offset, roi.y_offset])
     stated = np.array([roi.width or info.width, roi.height or info.height]) // binning
-    if size is None or stated.any():
+    notices = []
+    if size is not None and size == (info.width, info.height) and size != tuple(stated):
+        notices.append(
+            f'binning and region of interest are not applied: the image has all'
+            f' {size[0]}x{size[1]} px, not {stated[0]}x{stated[1]}'
+        )
+        binning, offset = np.ones(2, int), np.zeros(2)
+    elif size is None or stated.any():
         size = int(stated[0]), int(stated[1])
     if K.size == 9 and P.size == 12:
         K, P = K.reshape(3, 3), P.reshape(3, 4)
@@ -56,7 +64,9 @@ def camera_from_message(
             matrix[:2, 2] -= offset
             matrix[:2] /= binning[:, None]
     try:
-        return camera_of_image(size, K, D, R, P, info.distortion_model, rectified=rectified)
+        return camera_of_image(
+            size, K, D, R, P, info.distortion_model, rectified=rectified, notices=tuple(notices)
+        )
     except CalibrationError as error:
         raise CalibrationError(f'{name}: {error}') from error
 
@@ -76,8 +86,9 @@ def rig_from_messages(
 
 
 def states_size(info: Any) -> bool:
-    """Tell whether a CameraInfo states the size of its image."""
-    return bool(info.width or info.height or info.roi.width or info.roi.height)
+    """Tell whether a CameraInfo states the size of its image, without binning and region."""
+    plain = max(info.binning_x, info.binning_y) <= 1 and not info.roi.width
+    return bool(plain and info.width and info.height)
 
 
 def calibration_content(info: Any) -> tuple[Any, ...]:

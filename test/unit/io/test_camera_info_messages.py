@@ -102,6 +102,28 @@ def test_infos_without_a_size_take_that_of_the_image() -> None:
     assert camera_from_message(stated, size=(9, 9)).size == (640, 360)
 
 
+@pytest.mark.parametrize(
+    'members',
+    [
+        {'binning_x': 2, 'binning_y': 2},
+        {'roi': SimpleNamespace(x_offset=40, y_offset=20, width=400, height=300)},
+    ],
+)
+def test_binning_and_region_are_not_applied_to_an_image_of_the_whole_sensor(
+    members: dict[str, Any],
+) -> None:
+    message = info_message(rig().left, **members)
+    assert not states_size(message)
+    camera = camera_from_message(message, size=(640, 480))
+    assert camera.size == (640, 480)
+    np.testing.assert_array_equal(camera.K, rig().left.K)
+    (notice,) = camera.notices
+    assert 'are not applied: the image has all 640x480 px, not' in notice
+    applied = camera_from_message(message)
+    assert camera_from_message(message, size=applied.size).size == applied.size
+    assert camera_from_message(message, size=applied.size).notices == ()
+
+
 def test_binning_that_was_already_applied_is_said() -> None:
     """The driver halves K and P, and states binning too."""
     full = rig()
