@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass
-class Findings:
+class Evaluated:
     """Results of the scenes that are finished.
 
     Attributes
@@ -118,54 +118,54 @@ def run(args: argparse.Namespace) -> None:
     methods = _methods(args)
     folders = find_scenes(args.dir, args.scenes)
     make_folder(args.output)
-    findings, interrupted = Findings(), False
+    evaluated, interrupted = Evaluated(), False
     try:
         with ProgressBar(len(folders), 'scenes') as bar:
             for done, folder in enumerate(folders):
                 bar.show(done, folder.name)
-                with findings.failures.of(folder.name):
-                    _evaluate(folder, methods, args, findings)
+                with evaluated.failures.of(folder.name):
+                    _evaluate(folder, methods, args, evaluated)
     except KeyboardInterrupt:
         interrupted = True
-    if findings.scenes:
-        _report(args, findings, len(folders))
+    if evaluated.scenes:
+        _report(args, evaluated, len(folders))
     if interrupted:
-        done = len(findings.scenes)
+        done = len(evaluated.scenes)
         raise KeyboardInterrupt(f'{done} of {len(folders)} scenes are in {args.output}')
-    findings.failures.raise_if_any(len(folders))
+    evaluated.failures.raise_if_any(len(folders))
 
 
 def _evaluate(
-    folder: Path, methods: list[Method], args: argparse.Namespace, findings: Findings
+    folder: Path, methods: list[Method], args: argparse.Namespace, evaluated: Evaluated
 ) -> None:
     result = evaluate_scene(read_scene(folder), methods, args.repeat)
     for method, estimate in zip(methods, result.estimates, strict=True):
         disparity_px = estimate.disparity_px
         if args.exposure:
-            findings.exposure.append(exposure_change(result.scene, method, disparity_px))
+            evaluated.exposure.append(exposure_change(result.scene, method, disparity_px))
         if args.crop and method.ours:
-            findings.crop += crop_changes(result.scene, method, disparity_px)
-    findings.sections.append(report.scene_section(result))
-    findings.scenes.append(result.scores)
+            evaluated.crop += crop_changes(result.scene, method, disparity_px)
+    evaluated.sections.append(report.scene_section(result))
+    evaluated.scenes.append(result.scores)
 
 
-def _report(args: argparse.Namespace, findings: Findings, scene_count: int) -> None:
-    notes, tables = _notes(findings, scene_count), _tables(findings)
+def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) -> None:
+    notes, tables = _notes(evaluated, scene_count), _tables(evaluated)
     print('\n\n'.join([*tables, *notes]))
-    failures = {name: str(error) for name, error in findings.failures.errors.items()}
+    failures = {name: str(error) for name, error in evaluated.failures.errors.items()}
     facts = {
         'machine': machine_facts(),
         'presets': args.presets,
         'options': given_options(args),
         'repeat': args.repeat,
-        'mean': summary.mean_over_scenes(findings.scenes),
-        'scenes': findings.scenes,
-        'exposure': findings.exposure,
-        'crop': findings.crop,
+        'mean': summary.mean_over_scenes(evaluated.scenes),
+        'scenes': evaluated.scenes,
+        'exposure': evaluated.exposure,
+        'crop': evaluated.crop,
         'failures': failures,
     }
     write_json(args.output / 'evaluation.json', to_plain(facts))
-    page = report.page('Evaluation', notes, tables, findings.sections)
+    page = report.page('Evaluation', notes, tables, evaluated.sections)
     with complete_file(args.output / 'evaluation.html') as file:
         file.write(page.encode())
 
@@ -182,8 +182,8 @@ def _methods(args: argparse.Namespace) -> list[Method]:
     return methods
 
 
-def _tables(findings: Findings) -> list[str]:
-    scenes = findings.scenes
+def _tables(evaluated: Evaluated) -> list[str]:
+    scenes = evaluated.scenes
     means = summary.mean_over_scenes(scenes)
     tables = [
         summary.overview(means),
@@ -192,21 +192,21 @@ def _tables(findings: Findings) -> list[str]:
         summary.depth_by_band(scenes),
         summary.sigma_calibration(scenes),
         *summary.sigma_by_bin(scenes),
-        summary.exposure_table(findings.exposure),
-        summary.crop_table(findings.crop),
+        summary.exposure_table(evaluated.exposure),
+        summary.crop_table(evaluated.crop),
     ]
     return [table for table in tables if table]
 
 
-def _notes(findings: Findings, scene_count: int) -> list[str]:
-    scenes = findings.scenes
+def _notes(evaluated: Evaluated, scene_count: int) -> list[str]:
+    scenes = evaluated.scenes
     notes = [HOW_MEASURED]
     if not all(score.ours for score in scenes[0].scores):
         notes += [PADDED] if peers.has_ximgproc() else [PADDED, NO_XIMGPROC]
     derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
     unknown = [scene.scene for scene in scenes if not scene.visible_source]
     metric = [scene.scene for scene in scenes if scene.scores[0].depth]
-    failed = list(findings.failures.errors)
+    failed = list(evaluated.failures.errors)
     for scene_names, text in (
         (derived, 'Occlusions are derived from the ground truth in {}.'),
         (unknown, 'Occlusions are not known in {}.'),

@@ -189,12 +189,14 @@ def _turned(left: FloatImage, right: FloatImage, config: MatchConfig, infinity_p
 def _rows_apart(left: FloatImage, right: FloatImage) -> str:
     """Say that rows are off by more than matching bridges, from features anywhere."""
     detector = cv2.ORB_create(nfeatures=_FEATURES)
-    (left_points, left_words), (right_points, right_words) = (
+    (left_points, left_descriptors), (right_points, right_descriptors) = (
         detector.detectAndCompute(_bytes(image), None) for image in (left, right)
     )
-    if left_words is None or right_words is None:
+    if left_descriptors is None or right_descriptors is None:
         return ''
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left_words, right_words)
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        left_descriptors, right_descriptors
+    )
     steps = np.array(
         [right_points[p.trainIdx].pt[1] - left_points[p.queryIdx].pt[1] for p in pairs]
     )
