@@ -31,6 +31,8 @@ from test.calibration_tools import (
     truth,
 )
 
+pytestmark = pytest.mark.statistics
+
 BOWS = [(0.0, 0.0), (0.001, -0.0005), (0.003, 0.001)]
 
 

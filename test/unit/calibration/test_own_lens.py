@@ -32,6 +32,8 @@ from test.calibration_tools import (
     numeric_jacobian,
 )
 
+pytestmark = pytest.mark.statistics
+
 
 class RadialLens(Lens):
     """A lens that images a ray at the ray times a factor of its squared distance r2."""

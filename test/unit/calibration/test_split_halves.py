@@ -40,6 +40,8 @@ from test.calibration_tools import (
     truth,
 )
 
+pytestmark = pytest.mark.statistics
+
 Change = Callable[[list[Capture], np.random.Generator], list[Capture]]
 
 

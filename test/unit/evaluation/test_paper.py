@@ -24,6 +24,8 @@ from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
 
+pytestmark = pytest.mark.statistics
+
 
 @pytest.fixture(scope='module')
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.solve import calibrate
@@ -33,6 +34,8 @@ from binocular_recon.simulation.scene import build_scene
 from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
+
+pytestmark = pytest.mark.statistics
 
 NOISE_PX = 0.2
 SCALE = 0.15
