@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Filtered:
     iterations: int
     error_estimate_px: float
 
-    @property
+    @cached_property
     def measured_share(self) -> float:
         """Share of the pixels that were measured, not filled."""
         return float(np.mean((self.validity & Validity.MEASURED) > 0))

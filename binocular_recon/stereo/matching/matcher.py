@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ class Match:
     confidence: FloatImage
     validity: ByteImage
 
-    @property
+    @cached_property
     def matched_share(self) -> float:
         """Share of the pixels that have a disparity."""
         return float(np.isfinite(self.disparity_px).mean())
