@@ -57,14 +57,11 @@ def read_covariance(path: Path, left: Camera, right: Camera) -> RigCovariance | 
         _check_cameras(content, left, right)
         parameters = tuple(str(name) for name in content['parameters'])
         matrix = np.array(content['covariance'], np.float64)
+        return RigCovariance(left, right, parameters, matrix)
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(
             f'{path} is not a calibration as `calibrate` writes it: {error!r}'
         ) from error
-    except CalibrationError as error:
-        raise CalibrationError(f'{path}: {error}') from error
-    try:
-        return RigCovariance(left, right, parameters, matrix)
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error}') from error
 
