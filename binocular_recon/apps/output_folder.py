@@ -23,6 +23,7 @@ from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.point_covariance import sigma_shares
+from binocular_recon.stereo.search_range import reach_text
 
 
 class ResultFolder:
@@ -197,10 +198,9 @@ class ResultFolder:
         if self._rig is None:
             return ''
         near, far = self._searched_m
-        reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
         return (
             f'; baseline {self._rig.baseline_m:.4g} m, focal length {self._rig.focal_px:.0f} px,'
-            f' searched from {near:.3g} m to {reach}'
+            f' searched from {near:.3g} m to {reach_text(far)}'
         )
 
 

@@ -74,13 +74,19 @@ class SearchRange(NamedTuple):
     def describe(self, rig: StereoRig) -> str:
         """Say which disparities are searched, and which depths they are."""
         near, far = self.depths_m(rig)
-        reach = f'{far:.1f} m' if math.isfinite(far) else 'infinity'
-        depths = f'depths of {near:.2f} m to {reach}' if math.isfinite(near) else 'no depth'
+        depths = (
+            f'depths of {near:.2f} m to {reach_text(far)}' if math.isfinite(near) else 'no depth'
+        )
         return f'{self.min_disparity} to {self.last} px, {depths}'
 
     def applied_to(self, config: MatchConfig) -> MatchConfig:
         """Return ``config`` with this range."""
         return dataclasses.replace(config, **self._asdict())
+
+
+def reach_text(far_m: float) -> str:
+    """Return the farthest depth that is searched, for a person."""
+    return f'{far_m:.1f} m' if math.isfinite(far_m) else 'infinity'
 
 
 class RangeChoice(NamedTuple):
