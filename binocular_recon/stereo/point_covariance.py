@@ -97,11 +97,7 @@ def calibration_derivatives(points_xyz: FloatArray, rig: StereoRig) -> FloatArra
         If the rig has no covariance.
 
     """
-    inverse_depth = 1 / points_xyz[:, 2]
-    rays = points_xyz[:, :2] * inverse_depth[:, None]
-    scaled = _scaled_derivatives(_known(rig), rays, inverse_depth)
-    derivatives: FloatArray = scaled / inverse_depth[:, None, None] ** 2
-    return derivatives
+    return point_derivatives(*_raw_cameras(_known(rig)), points_xyz)
 
 
 def add_covariance(rig: StereoRig, known: RigCovariance | None) -> StereoRig:
@@ -171,7 +167,9 @@ def variance_grid(rig: StereoRig) -> npt.NDArray[np.float32]:
     )
     rays = np.stack([(left - P[0, 2]) / P[0, 0], (row - P[1, 2]) / P[1, 1]], axis=-1)
     inverse_depth = (left - right - rig.disparity_offset_px) / (rig.focal_px * rig.baseline_m)
-    derivatives = _scaled_derivatives(known, rays.reshape(-1, 2), inverse_depth.ravel())
+    derivatives = scaled_derivatives(
+        *_raw_cameras(known), rays.reshape(-1, 2), inverse_depth.ravel()
+    )
     variances = np.einsum('nip,nip->ni', derivatives @ known.matrix, derivatives)
     grid: npt.NDArray[np.float32] = variances.reshape(*_GRID, 3).astype(np.float32)
     return grid
@@ -186,16 +184,13 @@ def _known(rig: StereoRig) -> RigCovariance:
     return rig.covariance
 
 
-def _scaled_derivatives(
-    known: RigCovariance, rays: FloatArray, inverse_depth: FloatArray
-) -> FloatArray:
-    """Return `scaled_derivatives` of a calibrated rig."""
+def _raw_cameras(known: RigCovariance) -> tuple[RawCamera, RawCamera, float]:
+    """Return the cameras of a calibrated rig and its baseline, m."""
     left, right = (
         RawCamera(camera.lens, camera.K, known.distortion(camera), camera.R)
         for camera in (known.left, known.right)
     )
-    baseline_m = StereoRig(known.left, known.right).baseline_m
-    return scaled_derivatives(left, right, baseline_m, rays, inverse_depth)
+    return left, right, StereoRig(known.left, known.right).baseline_m
 
 
 class RawCamera(NamedTuple):
@@ -205,6 +200,21 @@ class RawCamera(NamedTuple):
     K: FloatArray
     D: FloatArray
     R: FloatArray
+
+
+def point_derivatives(
+    left: RawCamera, right: RawCamera, baseline_m: float, points_xyz: FloatArray
+) -> FloatArray:
+    """Return how measured points (N, 3), m, move with the parameters of the cameras, (N, 3, p).
+
+    The points are in the left rectified frame; cameras and parameters as in
+    `scaled_derivatives`.
+    """
+    inverse_depth = 1 / points_xyz[:, 2]
+    rays = points_xyz[:, :2] * inverse_depth[:, None]
+    scaled = scaled_derivatives(left, right, baseline_m, rays, inverse_depth)
+    derivatives: FloatArray = scaled / inverse_depth[:, None, None] ** 2
+    return derivatives
 
 
 def scaled_derivatives(

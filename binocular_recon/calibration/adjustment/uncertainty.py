@@ -8,7 +8,7 @@ import numpy as np
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
-from binocular_recon.stereo.point_covariance import RawCamera, scaled_derivatives
+from binocular_recon.stereo.point_covariance import RawCamera, point_derivatives
 
 # Depth is judged over the middle half of the image's width and height.
 FIELD_SHARE = 0.5
@@ -67,11 +67,8 @@ def depth_derivatives(
         RawCamera(calibration.lens_model, *calibration.side(side)[:2], turned)
         for side, turned in (('left', R), ('right', R @ calibration.R.T))
     )
-    points = points_m @ R.T
-    inverse_depth = 1 / points[:, 2]
-    rays = points[:, :2] * inverse_depth[:, None]
-    scaled = scaled_derivatives(left, right, calibration.baseline_m, rays, inverse_depth)
-    derivatives: FloatArray = np.einsum('nip,i->np', scaled, R[:, 2]) / inverse_depth[:, None] ** 2
+    moved = point_derivatives(left, right, calibration.baseline_m, points_m @ R.T)
+    derivatives: FloatArray = np.einsum('nip,i->np', moved, R[:, 2])
     return derivatives[:, free]
 
 
