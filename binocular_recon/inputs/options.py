@@ -58,6 +58,11 @@ class PairingOptions(Options):
     )
 
     @property
+    def by_arrival(self) -> bool:
+        """Whether arrival, not stamps, tells what belongs together."""
+        return self.pairing == 'arrival'
+
+    @property
     def stamp_offset_ns(self) -> int:
         """Added to the stamps of the right camera, ns."""
         return round(self.stamp_offset * 1e9)

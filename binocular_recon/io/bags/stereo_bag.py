@@ -104,7 +104,7 @@ class StereoBag:
             topics.images,
             queue_size=_QUEUE_SIZE,
             tolerance_ns=tolerance_ns,
-            by_arrival=pairing.pairing == 'arrival',
+            by_arrival=pairing.by_arrival,
             offsets_ns={topics.images[1]: pairing.stamp_offset_ns},
         )
         self.images_read = self._pairs = 0

@@ -57,7 +57,7 @@ class FrameNode(BaseNode):
             list(self._inputs),
             queue_size=options.queue_size,
             tolerance_ns=options.tolerance_ns,
-            by_arrival=options.pairing == 'arrival',
+            by_arrival=options.by_arrival,
             offsets_ns={
                 topic: options.stamp_offset_ns
                 for topic in self._inputs
