@@ -58,12 +58,12 @@ def read_covariance(path: Path, left: Camera, right: Camera) -> RigCovariance | 
         parameters = tuple(str(name) for name in content['parameters'])
         matrix = np.array(content['covariance'], np.float64)
         return RigCovariance(left, right, parameters, matrix)
+    except CalibrationError as error:  # a ValueError too
+        raise CalibrationError(f'{path}: {error}') from error
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(
             f'{path} is not a calibration as `calibrate` writes it: {error!r}'
         ) from error
-    except CalibrationError as error:
-        raise CalibrationError(f'{path}: {error}') from error
 
 
 def _check_cameras(content: dict[str, Any], left: Camera, right: Camera) -> None:
