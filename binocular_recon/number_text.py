@@ -43,3 +43,8 @@ def plain(value: float, digits: int = 6) -> str:
         return fixed(value)
     text = np.format_float_positional(value, precision=digits, fractional=False, trim='-')
     return '0' if text == '-0' else text
+
+
+def reach(far_m: float) -> str:
+    """Return the depth up to which something goes, metres, or ``infinity``."""
+    return f'{far_m:.1f} m' if math.isfinite(far_m) else 'infinity'

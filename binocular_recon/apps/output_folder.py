@@ -21,9 +21,9 @@ from binocular_recon.errors import ConfigError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_files, make_folder, write_json
 from binocular_recon.machine import machine_facts
+from binocular_recon.number_text import reach
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.point_covariance import sigma_shares
-from binocular_recon.stereo.search_range import reach_text
 
 
 class ResultFolder:
@@ -200,7 +200,7 @@ class ResultFolder:
         near, far = self._searched_m
         return (
             f'; baseline {self._rig.baseline_m:.4g} m, focal length {self._rig.focal_px:.0f} px,'
-            f' searched from {near:.3g} m to {reach_text(far)}'
+            f' searched from {near:.3g} m to {reach(far)}'
         )
 
 

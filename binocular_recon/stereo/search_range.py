@@ -18,6 +18,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ConfigError, ImageError
 from binocular_recon.images import FloatImage
+from binocular_recon.number_text import reach
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.matching.half_resolution import halve
 
@@ -74,19 +75,12 @@ class SearchRange(NamedTuple):
     def describe(self, rig: StereoRig) -> str:
         """Say which disparities are searched, and which depths they are."""
         near, far = self.depths_m(rig)
-        depths = (
-            f'depths of {near:.2f} m to {reach_text(far)}' if math.isfinite(near) else 'no depth'
-        )
+        depths = f'depths of {near:.2f} m to {reach(far)}' if math.isfinite(near) else 'no depth'
         return f'{self.min_disparity} to {self.last} px, {depths}'
 
     def applied_to(self, config: MatchConfig) -> MatchConfig:
         """Return ``config`` with this range."""
         return dataclasses.replace(config, **self._asdict())
-
-
-def reach_text(far_m: float) -> str:
-    """Return the farthest depth that is searched, for a person."""
-    return f'{far_m:.1f} m' if math.isfinite(far_m) else 'infinity'
 
 
 class RangeChoice(NamedTuple):
