@@ -64,9 +64,11 @@ class FrameNode(BaseNode):
                 if topic.startswith('right/')
             },
         )
-        super().start()
-        # even if they are not needed yet: this declares the QoS parameters of the inputs
+        # Declares the QoS parameters of the inputs, needed or not. The outputs come afterwards, so
+        # that who sees those sees no subscription that is about to go.
         self._subscriptions_in_use = self._subscribe()
+        self._unsubscribe()
+        super().start()
         self.update_subscriptions()
 
     def process(self, *messages: Any) -> None:
@@ -117,9 +119,7 @@ class FrameNode(BaseNode):
         if needed and not self._subscriptions_in_use:
             self._subscriptions_in_use = self._subscribe()
         elif not needed:
-            for subscription in self._subscriptions_in_use:
-                self.destroy_subscription(subscription)
-            self._subscriptions_in_use = []
+            self._unsubscribe()
 
     def condition(self) -> tuple[bytes, str]:
         """Return level and summary of the last second, and log what prevents frames."""
@@ -226,6 +226,11 @@ class FrameNode(BaseNode):
             )
             for one in self._inputs.values()
         ]
+
+    def _unsubscribe(self) -> None:
+        for subscription in self._subscriptions_in_use:
+            self.destroy_subscription(subscription)
+        self._subscriptions_in_use = []
 
     def _receive(self, topic: str, message: Any) -> None:
         self.health.received(topic)

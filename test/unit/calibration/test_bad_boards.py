@@ -28,6 +28,8 @@ from test.calibration_tools import (
     wrong_board,
 )
 
+pytestmark = pytest.mark.long
+
 
 def test_too_few_boards_says_how_many_and_why() -> None:
     captures = captures_of(boards=3)

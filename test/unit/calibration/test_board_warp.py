@@ -31,7 +31,7 @@ from test.calibration_tools import (
     truth,
 )
 
-pytestmark = pytest.mark.statistics
+pytestmark = pytest.mark.long
 
 BOWS = [(0.0, 0.0), (0.001, -0.0005), (0.003, 0.001)]
 

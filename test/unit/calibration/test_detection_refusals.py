@@ -16,6 +16,8 @@ from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rods import paper_board, place_board
 from test.rod_images import LEFT, RIG, board_of, image_of
 
+pytestmark = pytest.mark.long
+
 
 def test_hidden_marks_are_not_invented() -> None:
     """A plate with edges right on the spacing hides two marks of a rod; the rest is found."""

@@ -32,6 +32,8 @@ LIGHT = replace(DARK, mark_type=BAND_EDGE_LIGHT)
 SAYS_LIGHT = 'the rods begin with a light band; set mark_type: band_edge_light in rods.yaml'
 SAYS_DARK = 'the rods begin with a dark band; set mark_type: band_edge in rods.yaml'
 
+pytestmark = pytest.mark.long
+
 
 def test_bands_alternate_from_the_lowest_one() -> None:
     assert BAND_EDGE.light_bands(3).tolist() == [False, True, False, True]

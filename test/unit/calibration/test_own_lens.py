@@ -32,7 +32,7 @@ from test.calibration_tools import (
     numeric_jacobian,
 )
 
-pytestmark = pytest.mark.statistics
+pytestmark = pytest.mark.long
 
 
 class RadialLens(Lens):

@@ -40,7 +40,7 @@ from test.calibration_tools import (
     truth,
 )
 
-pytestmark = pytest.mark.statistics
+pytestmark = pytest.mark.long
 
 Change = Callable[[list[Capture], np.random.Generator], list[Capture]]
 

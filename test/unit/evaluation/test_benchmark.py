@@ -23,6 +23,8 @@ from test import naive_wls
 
 SMALL = Size(128, 96, 16)
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope='module')
 def bench() -> Bench:

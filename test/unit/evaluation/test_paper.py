@@ -24,7 +24,7 @@ from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
 
-pytestmark = pytest.mark.statistics
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope='module')

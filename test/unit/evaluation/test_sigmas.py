@@ -35,7 +35,7 @@ from binocular_recon.stereo.rectification import Rectifier
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
-pytestmark = pytest.mark.statistics
+pytestmark = pytest.mark.long
 
 NOISE_PX = 0.2
 SCALE = 0.15

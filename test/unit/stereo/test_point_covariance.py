@@ -130,7 +130,7 @@ def drawn_errors(lens: str, draws: int, seed: int) -> FloatArray:
     )
 
 
-@pytest.mark.statistics
+@pytest.mark.long
 @pytest.mark.parametrize('lens', RIGS)
 def test_covariance_is_the_spread_of_drawn_calibrations(lens: str) -> None:
     _, rig = rig_of(lens)
@@ -156,7 +156,7 @@ def test_lengths_are_better_known_than_their_ends() -> None:
     assert str(Length(1.7951, 0.0062)) == '1.795 +- 0.006 m'
 
 
-@pytest.mark.statistics
+@pytest.mark.long
 def test_length_sigma_is_the_spread_of_drawn_calibrations() -> None:
     _, rig = rig_of('plumb_bob')
     moved = drawn_errors('plumb_bob', 1500, 12) + POINTS
