@@ -81,6 +81,7 @@ def arguments() -> dict[str, Any]:
         ],
         'python_requires': '>=3.10',
         'install_requires': [
+            'lz4>=4,<5',
             # Before 0.61 it mixes up the types of calls from several threads; docs/numba.md says
             # why there is an upper bound and how to raise it.
             'numba>=0.61,<0.69',

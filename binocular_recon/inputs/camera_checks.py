@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.errors import CalibrationError
+from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.lenses.registry import LENSES
 
 FloatArray = npt.NDArray[np.float64]
@@ -180,6 +180,15 @@ def resolution_warning(size: tuple[int, int], K: FloatArray, *, rectified: bool)
             ' resolution and that binning and region of interest are applied once'
         )
     return ''
+
+
+def check_image_size(size: tuple[int, int], calibrated: tuple[int, int], name: str) -> None:
+    """Raise an ImageError if an image does not have the calibrated size (width, height)."""
+    if size != calibrated:
+        raise ImageError(
+            f'{name} is {size[0]}x{size[1]} px, its calibration is for'
+            f' {calibrated[0]}x{calibrated[1]}; {scale_between(size, calibrated)}'
+        )
 
 
 def scale_between(size: tuple[int, int], calibrated: tuple[int, int]) -> str:

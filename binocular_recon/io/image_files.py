@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from binocular_recon.errors import FileError
+from binocular_recon.errors import FileError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.files import complete_file
+from binocular_recon.io.image_headers import jpeg_segments, read_header
+from binocular_recon.io.jpeg_check import share_found
 
 
 def read_image_file(path: Path) -> Image:
@@ -33,25 +36,80 @@ def read_image_file(path: Path) -> Image:
         If the file cannot be read or is not an image.
 
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe may never end
+        raise FileError(f'{path} is not a regular file; give a PNG, JPEG or TIFF file')
     try:
-        data = np.fromfile(path, np.uint8)
+        data = path.read_bytes()
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror}') from error
-    image = decoded_image(data)
-    if image is None:
-        raise FileError(
-            f'{path} is not an image ({data.size} bytes); give a PNG, JPEG or TIFF file'
-        )
-    return image
-
-
-def decoded_image(data: npt.NDArray[np.uint8]) -> Image | None:
-    """Return the image that the bytes of a file hold, or None if they are not an image."""
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except cv2.error:  # the file claims more pixels than OpenCV accepts
-        return None
-    return None if image is None else np.asarray(image)
+        return decoded_image(data, str(path))
+    except ImageError as error:
+        raise FileError(str(error)) from error
+
+
+def decoded_image(data: bytes, name: str, size: tuple[int, int] | None = None) -> Image:
+    """Decode an image file.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    name : str
+        What it is, in errors.
+    size : (int, int), optional
+        Width and height that it must have; no other one is decoded.
+
+    Returns
+    -------
+    image : (H, W) or (H, W, C) uint8, uint16 or float32
+        Grey, BGR or BGRA.
+
+    Raises
+    ------
+    ImageError
+        If the data are damaged, cut off or not an image, or claim another or an implausible size.
+
+    """
+    if not _is_whole(data):
+        raise ImageError(
+            f'{name} is truncated: {len(data)} bytes without an end marker; make the connection'
+            ' reliable'
+        )
+    try:
+        header = read_header(data)
+    except ImageError as error:
+        raise ImageError(f'{name} {error}') from error
+    if size:
+        check_image_size((header.width, header.height), size, name)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise ImageError(
+            f'{name} cannot be decoded: {len(data)} bytes of {header.format} are damaged or of an'
+            ' unusual kind; send plain JPEG or PNG'
+        )
+    if header.format == 'JPEG' and (share := share_found(data, image)) < 1:
+        raise ImageError(
+            f'{name} is truncated: its {len(data)} bytes of JPEG hold {share:.0%} of the image;'
+            ' make the connection reliable'
+        )
+    return np.asarray(image)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Tell whether a JPEG or PNG file has its end marker; other formats are not checked."""
+    if data.startswith(b'\x89PNG'):
+        return data.rfind(b'IEND\xaeB`\x82') > 0
+    if not data.startswith(b'\xff\xd8'):
+        return True
+    try:  # a thumbnail in a segment before the first scan has its own end marker
+        scan = jpeg_segments(data)[-1][2]
+    except (LookupError, ValueError, struct.error):
+        return False
+    return data.find(b'\xff\xd9', scan) > 0
 
 
 def write_image_file(path: Path, image: Image) -> None:

@@ -55,7 +55,8 @@ class RectifyNode(FrameNode):
 
     def process(self, left: Image, right: Image, *infos: CameraInfo) -> None:
         """Publish one rectified pair."""
-        images = read_image(left, 'left image'), read_image(right, 'right image')
+        size = self._fixed_rig.left.size if self._fixed_rig else None
+        images = read_image(left, 'left image', size), read_image(right, 'right image', size)
         rig = self._fixed_rig or self.rig(infos[0], infos[1], images[0].image)
         if self._fixed_rig:
             self.warn_of_rig(rig)

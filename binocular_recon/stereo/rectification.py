@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
-from binocular_recon.inputs.camera_checks import scale_between
+from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.number_text import significant
 
 Map = npt.NDArray[np.float32]
@@ -118,11 +119,8 @@ class Rectifier:
             rig = _rescaled(rig, alpha)
         cameras = _rectified(rig.left), _rectified(rig.right)
         self.rig = StereoRig(*cameras, covariance=rig.covariance)
-        self._size = rig.left.size
         self._interpolation = interpolation
-        # Not converted to fixed-point by convertMaps: with float maps OpenCV 5 is exact, and twice
-        # as fast on grey images. OpenCV 4 rounds both to 1/32 px.
-        self._maps = rectification_maps(rig.left), rectification_maps(rig.right)
+        self._raw = rig
 
     def __call__(self, left: Image, right: Image) -> tuple[Image, Image]:
         """Rectify a pair.
@@ -143,11 +141,22 @@ class Rectifier:
             If an image does not have the calibrated size.
 
         """
-        rectified = []
-        for side, image, maps in zip(('left', 'right'), (left, right), self._maps, strict=True):
-            check_size(image, self._size, side)
-            rectified.append(cv2.remap(image, *maps, self._interpolation))
-        return rectified[0], rectified[1]
+        check_size(left, self._raw.left.size, 'left')
+        check_size(right, self._raw.left.size, 'right')
+        left_maps, right_maps = self._maps
+        return (
+            cv2.remap(left, *left_maps, self._interpolation),
+            cv2.remap(right, *right_maps, self._interpolation),
+        )
+
+    @cached_property
+    def _maps(self) -> tuple[tuple[Map, Map], tuple[Map, Map]]:
+        """Return the maps, made for the first pair that has the calibrated size.
+
+        They are not converted to fixed-point by convertMaps: with float maps OpenCV 5 is exact,
+        and twice as fast on grey images. OpenCV 4 rounds both to 1/32 px.
+        """
+        return rectification_maps(self._raw.left), rectification_maps(self._raw.right)
 
 
 def _check_rotation(camera: Camera, side: str) -> None:
@@ -163,11 +172,7 @@ def _check_rotation(camera: Camera, side: str) -> None:
 def check_size(image: Image, size: tuple[int, int], side: str) -> None:
     """Raise an ImageError if ``image`` does not have the calibrated ``size`` (width, height)."""
     height, width = image.shape[:2]
-    if (width, height) != size:
-        raise ImageError(
-            f'{side} image is {width}x{height} px, its calibration is for {size[0]}x{size[1]};'
-            f' {scale_between((width, height), size)}'
-        )
+    check_image_size((width, height), size, f'{side} image')
 
 
 def _rectified(camera: Camera) -> Camera:

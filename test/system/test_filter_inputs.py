@@ -191,7 +191,7 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
     'empty image': (
         'left/image_rect/compressed',
         empty_image,
-        'left image cannot be decoded: 0 bytes',
+        'left image is not an image (0 bytes)',
     ),
     'confidence of another type': (
         'confidence',

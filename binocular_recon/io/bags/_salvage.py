@@ -4,31 +4,33 @@
 from __future__ import annotations
 
 import os
-import shutil
-import sqlite3
 import struct
 from binascii import crc32
 from collections.abc import Iterator
-from contextlib import closing
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from rosbags.rosbag1.reader import Header, RecordType, decompressors
-from rosbags.rosbag2 import reader as rosbags_reader  # it knows this Python's zstd
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.typesys.msg import normalize_msgtype
 
 from binocular_recon.errors import BagError
+from binocular_recon.io.bags._decompression import (
+    MOST_ROS1_BYTES,
+    ZSTD_MAGIC,
+    decompressed_message,
+    unpack_chunk,
+    unpack_file,
+)
+from binocular_recon.io.bags._sqlite import scan_tables
 
 _MAGIC = {
     'mcap': b'\x89MCAP0\r\n',
     'sqlite3': b'SQLite format 3\0',
     'ros1': b'#ROSBAG V2.0\n',
 }
-# First bytes of a message that the recorder compressed; those of a CDR message begin with a zero.
-_ZSTD = b'\x28\xb5\x2f\xfd'
-_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _MCAP_DATA_END = 3, 4, 5, 6, 15
+_MCAP_FOOTER, _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = range(2, 7)
+_MCAP_DATA_END = 15
 
 
 class RawMessage(NamedTuple):
@@ -81,20 +83,23 @@ def scan_messages(path: Path) -> Iterator[RawMessage]:
 
     """
     kind = file_format(path)
+    messages: Iterator[RawMessage]
     if kind == 'sqlite3':
-        messages = _scan_sqlite(path)
+        messages = (RawMessage(*recorded) for recorded in scan_tables(path))
     else:
         messages = _scan_mcap(path) if kind == 'mcap' else _scan_ros1(path)
     for message in messages:
         compressible = message.encoding == 'cdr'
-        yield message._replace(data=decompressed(message.data)) if compressible else message
+        yield (
+            message._replace(data=decompressed_message(message.data)) if compressible else message
+        )
 
 
 def is_compressed(path: Path) -> bool:
     """Tell whether a whole file is compressed by zstd; False if it cannot be read."""
     try:
         with path.open('rb') as file:
-            return file.read(4) == _ZSTD
+            return file.read(4) == ZSTD_MAGIC
     except OSError:
         return False
 
@@ -102,32 +107,21 @@ def is_compressed(path: Path) -> bool:
 def unpack(path: Path, folder: Path) -> Path:
     """Decompress a file into a folder; raises a BagError if it is damaged or does not fit."""
     target = folder / path.stem
-    try:
-        with rosbags_reader.zstd.open(path, 'rb') as packed, target.open('wb') as file:  # type: ignore[attr-defined]
-            shutil.copyfileobj(packed, file)
-    except (EOFError, OSError, rosbags_reader.zstd.ZstdError) as error:  # type: ignore[attr-defined]
-        raise BagError(
-            f'{path} cannot be decompressed into {folder}: {error}; repair it, or free the disk'
-        ) from error
+    unpack_file(path, target)
     return target
 
 
-def decompressed(cdr: bytes) -> bytes:
-    """Return a ROS 2 message, decompressed if its recorder compressed it."""
-    return DECOMPRESSORS['zstd'](cdr, 0) if cdr.startswith(_ZSTD) else cdr
-
-
-def _scan_sqlite(path: Path) -> Iterator[RawMessage]:
-    with closing(sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)) as database:
-        # Without this, SQLite refuses a file shorter than its first page says.
-        database.execute('PRAGMA writable_schema=ON')
-        topics = {row[0]: row[1:] for row in database.execute('SELECT id, name, type FROM topics')}
-        # By rowid, in the order of the pages: the index on the timestamps may be lost.
-        for topic_id, stamp_ns, data in database.execute(
-            'SELECT topic_id, timestamp, data FROM messages ORDER BY id'
-        ):
-            name, msgtype = topics[topic_id]
-            yield RawMessage(name, msgtype, '', stamp_ns, data)
+def check_index(path: Path) -> None:
+    """Raise a BagError if the index of an MCAP file does not match its checksum."""
+    with path.open('rb') as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 37, 0))
+        footer = file.read()
+        kind, _, start, _, crc = struct.unpack_from('<BQQQI', footer)
+        if kind == _MCAP_FOOTER and start and crc:
+            file.seek(start)
+            if crc32(file.read(size - 12 - start)) != crc:
+                raise BagError('its index does not match its checksum')
 
 
 def _scan_mcap(path: Path) -> Iterator[RawMessage]:
@@ -185,7 +179,7 @@ def _schema_text(content: bytes, offset: int) -> str:
 def _unpack_chunk(content: bytes) -> bytes:
     _, _, size, crc = struct.unpack_from('<QQQI', content)
     compression = _mcap_string(content, 28)
-    chunk = DECOMPRESSORS[compression](content[40 + len(compression) :], size)
+    chunk = unpack_chunk(compression, content[40 + len(compression) :], size)
     if crc and crc32(chunk) != crc:
         raise BagError('a chunk does not match its checksum')
     return chunk
@@ -206,7 +200,12 @@ def _ros1_messages(
         content = _read(file, struct.unpack('<I', _read(file, 4))[0])
         kind = header.get_uint8('op')
         if kind == RecordType.CHUNK:
-            chunk = decompressors[header.get_string('compression')](content)
+            chunk = unpack_chunk(
+                header.get_string('compression'),
+                content,
+                header.get_uint32('size'),
+                MOST_ROS1_BYTES,
+            )
             yield from _ros1_messages(BytesIO(chunk), connections)
         elif kind == RecordType.CONNECTION:
             fields = _ros1_header(BytesIO(content), struct.pack('<I', len(content)))

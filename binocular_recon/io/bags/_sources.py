@@ -13,7 +13,8 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from binocular_recon.errors import BagError
-from binocular_recon.io.bags._salvage import decompressed, scan_messages
+from binocular_recon.io.bags._decompression import decompressed_message
+from binocular_recon.io.bags._salvage import scan_messages
 
 # DDS does not transmit the depth of a publisher, so recorders store 0; rclpy's usual depth then.
 DEFAULT_DEPTH = 10
@@ -85,7 +86,7 @@ class IntactSource:
         if wanted:  # rosbags reads all topics if none is given
             for connection, stamp_ns, data in self._reader.messages(wanted):
                 topic = by_key[connection.topic, connection.msgtype]
-                yield topic, stamp_ns, data if self.ros1 else decompressed(data)
+                yield topic, stamp_ns, data if self.ros1 else decompressed_message(data)
 
     def close(self) -> None:
         self._reader.close()

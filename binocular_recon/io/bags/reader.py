@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
-from binocular_recon.io.bags._salvage import file_format, is_compressed, unpack
+from binocular_recon.io.bags._salvage import check_index, file_format, is_compressed, unpack
 from binocular_recon.io.bags._sources import (
     DEFAULT_DEPTH,
     DamagedSource,
@@ -28,6 +29,7 @@ from binocular_recon.io.bags._sources import (
     Topic,
     TopicQos,
 )
+from binocular_recon.io.bags._sqlite import can_be_read, check_tables, has_journal, merge_journal
 
 __all__ = ['Bag', 'BagMessage', 'Topic', 'TopicQos', 'decode', 'ros2_types']
 
@@ -106,12 +108,30 @@ class Bag(AbstractContextManager['Bag']):
         """
         wanted = topics or self.topics
         for source in self._sources:
-            messages = source.messages(wanted)
+            read: Counter[tuple[str, str]] = Counter()
+            messages = _counted(source.messages(wanted), read)
             try:
                 for message in self._as_ros2(source, messages) if source.ros1 else messages:
                     yield BagMessage(*message)
             except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
                 self._note_damage(source.path, error)
+            else:
+                self._compare_with_index(source, wanted, read)
+
+    def _compare_with_index(
+        self, source: Source, wanted: Collection[Topic], read: Counter[tuple[str, str]]
+    ) -> None:
+        """Note topics of which fewer messages came than the file's index lists."""
+        listed: Counter[tuple[str, str]] = Counter()
+        for name, msgtype, count, _ in source.connections:
+            listed[name, msgtype] += count
+        for topic in wanted:
+            key = topic.name, topic.msgtype
+            if read[key] < listed[key]:
+                self.note(
+                    f'{source.path} is damaged: {read[key]} of the {listed[key]} messages on'
+                    f' {topic.name} that its index lists could be read'
+                )
 
     def close(self) -> None:
         """Close the files."""
@@ -145,14 +165,6 @@ class Bag(AbstractContextManager['Bag']):
             yield self._open_file(self.path)
             return
         files = self._listed_files()
-        if any(path.suffix == '.zstd' for path in files):
-            try:
-                yield IntactSource(self.path)  # rosbags decompresses them
-            except Exception as error:  # noqa: BLE001 - as above
-                self._note_damage(self.path, error)
-                files = []
-            else:
-                return
         files = files or sorted(path for path in self.path.iterdir() if _is_bag_file(path))
         if not files:
             raise BagError('; '.join([*self._nothing_found(), *self.damage]))
@@ -174,7 +186,7 @@ class Bag(AbstractContextManager['Bag']):
         try:
             content = yaml.safe_load(metadata.read_bytes())['rosbag2_bagfile_information']
             files = [self.path / PurePath(name).name for name in content['relative_file_paths']]
-        except Exception as error:  # noqa: BLE001 - as above
+        except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             self.note(f'{metadata} is damaged ({error}); all files in its folder are read')
             return []
         missing = [path.name for path in files if not path.exists()]
@@ -189,15 +201,40 @@ class Bag(AbstractContextManager['Bag']):
         return [problem, 'give the folder or file that was recorded']
 
     def _open_file(self, path: Path) -> Source:
+        if not path.is_file():
+            raise BagError(
+                f'{path} is not a regular file; give a file or folder that was recorded'
+            )
         if is_compressed(path):
-            folder = tempfile.TemporaryDirectory(prefix='binocular_recon_')
-            self._unpacked.append(folder)
-            path = unpack(path, Path(folder.name))
-        ros1 = file_format(path) == 'ros1'
+            path = unpack(path, self._temporary_folder())
+        kind = file_format(path)
+        if kind == 'sqlite3':
+            return self._open_sqlite(path)
         try:
-            return IntactSource(path, ros1=ros1)
-        except Exception:  # noqa: BLE001 - as above
+            if kind == 'mcap':
+                check_index(path)
+            return IntactSource(path, ros1=kind == 'ros1')
+        except BagError as error:
+            self._note_damage(path, error)
             return DamagedSource(path, note=self._note_damage)
+        except Exception:  # noqa: BLE001 - damaged data raise errors of any type
+            return DamagedSource(path, note=self._note_damage)
+
+    def _open_sqlite(self, path: Path) -> Source:
+        journal = has_journal(path)
+        if journal and not can_be_read(path):
+            path, journal = merge_journal(path, self._temporary_folder()), False
+        with suppress(sqlite3.Error):  # damage is found below
+            check_tables(path)
+        if not journal:  # which rosbags would leave out
+            with suppress(Exception):  # as above
+                return IntactSource(path)
+        return DamagedSource(path, note=self._note_damage)
+
+    def _temporary_folder(self) -> Path:
+        folder = tempfile.TemporaryDirectory(prefix='binocular_recon_')
+        self._unpacked.append(folder)
+        return Path(folder.name)
 
     def _note_damage(self, path: Path, error: Exception) -> None:
         reason = str(error) or type(error).__name__
@@ -207,6 +244,13 @@ class Bag(AbstractContextManager['Bag']):
         """Add a sentence to `damage`, once."""
         if sentence not in self.damage:
             self.damage.append(sentence)
+
+
+def _counted(messages: Iterator[Message], read: Counter[tuple[str, str]]) -> Iterator[Message]:
+    """Pass messages on, and count them by topic name and type."""
+    for message in messages:
+        read[message[0].name, message[0].msgtype] += 1
+        yield message
 
 
 def _is_bag_file(path: Path) -> bool:

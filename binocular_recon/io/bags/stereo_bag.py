@@ -46,10 +46,13 @@ class StereoFrame:
     right: Any
 
     def images(self) -> tuple[Image, Image]:
-        """Return left and right, grey, BGR or BGRA; raises an ImageError if one is damaged."""
+        """Return left and right, grey, BGR or BGRA.
+
+        Raises an ImageError if one is damaged or has another size than its calibration.
+        """
         return (
-            read_image(self.left, 'left image').image,
-            read_image(self.right, 'right image').image,
+            read_image(self.left, 'left image', self.rig.left.size).image,
+            read_image(self.right, 'right image', self.rig.right.size).image,
         )
 
 
@@ -140,7 +143,8 @@ class StereoBag:
             if rig:
                 yield StereoFrame(stamp_ns(left.message.header), rig, left.message, right.message)
         if not self._pairs:
-            raise BagError(f'{self._bag.path}: {self._why_unpaired()}')
+            why = f'{self._bag.path}: {self._why_unpaired()}'
+            raise BagError('; '.join([why, *self._bag.damage]))
 
     def _paired(self, infos: tuple[Any, ...]) -> Iterator[tuple[_Arrival, _Arrival]]:
         """Yield left and right images that belong together."""

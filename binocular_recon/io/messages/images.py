@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from binocular_recon.errors import ImageError
 from binocular_recon.images import Image
+from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.image_files import decoded_image
 
 
@@ -92,7 +93,9 @@ def stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def read_image(message: Any, name: str = 'image') -> DecodedImage:
+def read_image(
+    message: Any, name: str = 'image', size: tuple[int, int] | None = None
+) -> DecodedImage:
     """Decode an Image or a CompressedImage.
 
     Parameters
@@ -101,6 +104,8 @@ def read_image(message: Any, name: str = 'image') -> DecodedImage:
         Message with any ``step`` and byte order, or a whole JPEG or PNG file.
     name : str
         Name of the image in errors.
+    size : (int, int), optional
+        Width and height that it must have; no other one is decoded.
 
     Returns
     -------
@@ -110,12 +115,15 @@ def read_image(message: Any, name: str = 'image') -> DecodedImage:
     Raises
     ------
     ImageError
-        If the encoding is unknown, bytes are missing or the file cannot be decoded.
+        If the encoding is unknown, bytes are missing, the file cannot be decoded, or its size is
+        another or implausible.
 
     """
     if hasattr(message, 'format'):
-        image, encoding = _decode_file(message, name)
+        image, encoding = _decode_file(message, name, size)
     else:
+        if size:
+            check_image_size((int(message.width), int(message.height)), size, name)
         image, encoding = image_samples(message, name), message.encoding
         code = ENCODINGS[encoding].decode
         if code is not None:
@@ -223,21 +231,15 @@ def _kind(image: Image) -> tuple[str, int]:
     return image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2]
 
 
-def _decode_file(message: Any, name: str) -> tuple[Image, str]:
+def _decode_file(message: Any, name: str, size: tuple[int, int] | None) -> tuple[Image, str]:
     """Return the image of a CompressedImage, grey, BGR or BGRA, and its encoding."""
     # image_transport writes 'ENCODING; CODEC compressed ORDER', older senders only 'CODEC'
     encoding, _, codec = str(message.format).partition(';')
-    data = np.frombuffer(message.data, np.uint8)
-    if not _is_whole(data.tobytes()):
-        raise ImageError(
-            f'{name} is truncated: {data.size} bytes of {message.format!r} without an end marker;'
-            ' make the connection reliable'
-        )
-    image = decoded_image(data)
-    if image is None:
-        raise ImageError(
-            f'{name} cannot be decoded: {data.size} bytes of {message.format!r}; send JPEG or PNG'
-        )
+    data = np.frombuffer(message.data, np.uint8).tobytes()
+    try:
+        image = decoded_image(data, name, size)
+    except ImageError as error:
+        raise ImageError(f'{error} (the message says {message.format!r})') from error
     if 'compressed rgb' in codec and image.ndim == 3:  # encoded with red and blue swapped
         image = cv2.cvtColor(
             image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
@@ -256,22 +258,3 @@ def _decode_file(message: Any, name: str) -> tuple[Image, str]:
         image = cv2.cvtColor(image, spec.decode)
         return image, plain_encoding(image)
     return image, encoding
-
-
-def _is_whole(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG file has its end marker; other formats are not checked."""
-    if data.startswith(b'\x89PNG'):
-        return data.rfind(b'IEND\xaeB`\x82') > 0
-    if not data.startswith(b'\xff\xd8'):
-        return True
-    position = 2
-    # skip the segments before the first scan: a thumbnail in one of them has its own end marker
-    while (
-        data[position : position + 1] == b'\xff'
-        and (marker := data[position + 1 : position + 2]) != b'\xda'
-    ):
-        if marker == b'\xff':  # fill byte: any number may precede a marker
-            position += 1
-        else:
-            position += 2 + int.from_bytes(data[position + 2 : position + 4], 'big')
-    return data.find(b'\xff\xd9', position) > 0

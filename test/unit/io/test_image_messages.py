@@ -202,7 +202,7 @@ def test_compressed_grey_deep_and_mosaic() -> None:
 def test_truncated_file_is_refused_wherever_it_ends(extension: str) -> None:
     file = encoded(extension, scene())
     for length in [*range(8), *range(8, len(file) - 1, 7)]:
-        with pytest.raises(ImageError, match=r'is truncated|cannot be decoded'):
+        with pytest.raises(ImageError, match=r'is truncated|is not an image'):
             read_image(compressed(file[:length], 'bgr8; jpeg compressed bgr8'))
     read_image(compressed(file + bytes(5), 'bgr8; jpeg compressed bgr8'))  # padded by a camera
 
@@ -211,7 +211,7 @@ def test_file_that_asks_for_too_many_pixels_is_refused() -> None:
     file = bytearray(encoded('.png', scene()))
     file[16:24] = (2**30).to_bytes(4, 'big') * 2  # width and height
     file[29:33] = zlib.crc32(file[12:29]).to_bytes(4, 'big')
-    with pytest.raises(ImageError, match='cannot be decoded'):
+    with pytest.raises(ImageError, match=r'claims 1073741824x1073741824 px; at most 128 \* 2\^20'):
         read_image(compressed(file, 'bgr8; png compressed bgr8'))
 
 
@@ -243,7 +243,7 @@ def test_end_of_a_thumbnail_is_not_the_end() -> None:
 
 
 def test_file_of_an_unknown_kind() -> None:
-    with pytest.raises(ImageError, match="cannot be decoded: 9 bytes of 'h264'"):
+    with pytest.raises(ImageError, match=r"is not an image \(9 bytes\).* says 'h264'"):
         read_image(compressed(b'not image', 'h264'))
 
 

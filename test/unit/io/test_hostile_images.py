@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image files that claim more than they hold, or that lost a part and do not show it."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from binocular_recon.errors import FileError, ImageError
+from binocular_recon.io.image_files import decoded_image, read_image_file
+from binocular_recon.io.image_headers import read_header
+from binocular_recon.io.jpeg_check import share_found
+
+HEIGHT, WIDTH = 120, 200
+FORMATS = ('.png', '.jpg', '.tiff', '.bmp', '.webp', '.jp2', '.pgm', '.ppm', '.pam')
+BASELINE: list[int] = []
+RESTARTS = [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]
+OPTIMISED = [cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+PROGRESSIVE = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
+
+
+def scene(channels: int = 3) -> Any:
+    noise = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, channels), np.uint8)
+    return cv2.GaussianBlur(noise, (5, 5), 0)
+
+
+def encoded(extension: str, image: Any, options: list[int] | None = None) -> bytes:
+    return bytes(cv2.imencode(extension, image, options or [])[1].tobytes())
+
+
+@pytest.mark.parametrize('extension', FORMATS)
+def test_size_is_read_without_decoding(extension: str) -> None:
+    image = scene(1) if extension == '.pgm' else scene()
+    header = read_header(encoded(extension, image))
+    assert (header.width, header.height) == (WIDTH, HEIGHT)
+    decoded = cv2.imdecode(np.frombuffer(encoded(extension, image), np.uint8), -1)
+    assert header.pixel_bytes * WIDTH * HEIGHT >= decoded.nbytes
+
+
+@pytest.mark.parametrize(
+    ('dtype', 'channels', 'pixel_bytes'),
+    [(np.uint8, 1, 1), (np.uint8, 3, 3), (np.uint16, 1, 2), (np.uint16, 3, 6)],
+)
+def test_bytes_of_a_pixel_are_read(dtype: Any, channels: int, pixel_bytes: int) -> None:
+    image = np.zeros((9, 7, channels), dtype)
+    for extension in ('.png', '.tiff'):
+        assert read_header(encoded(extension, image)).pixel_bytes == pixel_bytes
+
+
+def claiming(extension: str, side: int) -> bytes:
+    """Return a small file that claims to be a square image."""
+    data = bytearray(encoded(extension, scene()))
+    if extension == '.png':
+        data[16:24] = struct.pack('>II', side, side)
+        data[29:33] = struct.pack('>I', zlib.crc32(data[12:29]))
+    elif extension == '.jpg':
+        place = data.index(b'\xff\xc0') + 5
+        data[place : place + 4] = struct.pack('>HH', side, side)
+    elif extension == '.bmp':
+        data[18:26] = struct.pack('<ii', side, side)
+    elif extension == '.webp':
+        width, height = side - 1, side - 1
+        chunk = struct.pack('<B', 0x2F) + struct.pack('<I', width | height << 14)
+        data = bytearray(b'RIFF' + struct.pack('<I', 22) + b'WEBPVP8L' + struct.pack('<I', 5))
+        data += chunk
+    elif extension == '.ppm':
+        data[:] = b'P6\n# a comment\n%d %d\n255\n' % (side, side) + bytes(100)
+    else:
+        data[:] = b'II*\0\x08\0\0\0\x02\0'
+        for tag in (256, 257):
+            data += struct.pack('<HHII', tag, 4, 1, side)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ('extension', 'side'),
+    [
+        *((extension, 30000) for extension in ('.png', '.jpg', '.bmp', '.ppm', '.tiff')),
+        ('.webp', 16000),
+        ('.tiff', 2**31),
+    ],
+)
+def test_a_huge_claim_is_refused_before_anything_is_allocated(extension: str, side: int) -> None:
+    with pytest.raises(ImageError, match=rf'left image claims {side}x{side} px; at most 128 \*'):
+        decoded_image(claiming(extension, side), 'left image')
+
+
+@pytest.mark.parametrize(('extension', 'kind'), [('.png', 'PNG'), ('.jpg', 'JPEG')])
+def test_an_image_that_cannot_be_in_so_few_bytes_is_refused(extension: str, kind: str) -> None:
+    with pytest.raises(
+        ImageError, match=rf'claims 8000x8000 px as {kind}, which takes at least \d+ bytes, and'
+    ):
+        decoded_image(claiming(extension, 8000), 'left image')
+
+
+def test_uniform_images_are_not_too_few_bytes() -> None:
+    for value in (0, 128, 255):
+        image = np.full((2000, 3000, 3), value, np.uint8)
+        for extension, options in (('.png', [16, 9]), ('.jpg', OPTIMISED), ('.jpg', PROGRESSIVE)):
+            data = encoded(extension, image, options)
+            np.testing.assert_array_equal(decoded_image(data, 'image'), image)
+
+
+def test_another_size_than_the_calibrated_one_is_not_decoded() -> None:
+    data = claiming('.jpg', 3000)  # it has no such image: decoding would fail
+    with pytest.raises(
+        ImageError, match='left image is 3000x3000 px, its calibration is for 200x'
+    ):
+        decoded_image(data, 'left image', (WIDTH, HEIGHT))
+    assert decoded_image(encoded('.jpg', scene()), 'left image', (WIDTH, HEIGHT)).shape[1] == WIDTH
+
+
+@pytest.mark.parametrize('extension', FORMATS)
+def test_headers_of_any_bytes_end_in_one_sentence(extension: str) -> None:
+    rng = np.random.default_rng(1)
+    whole = encoded(extension, scene(1) if extension == '.pgm' else scene())
+    for _ in range(300):
+        data = bytearray(whole[: rng.integers(2, 200)])
+        for place in rng.integers(0, len(data), rng.integers(0, 8)):
+            data[place] = rng.integers(256)
+        try:
+            header = read_header(bytes(data))
+        except ImageError as error:
+            assert str(error).split()[0] in ('is', 'has', 'claims')  # noqa: PT017
+        else:
+            assert 0 < header.width * header.height <= 2**27
+
+
+@pytest.mark.parametrize('options', [BASELINE, RESTARTS, OPTIMISED, PROGRESSIVE])
+@pytest.mark.parametrize('channels', [1, 3])
+def test_a_jpeg_without_its_middle_is_found_out(options: list[int], channels: int) -> None:
+    """It ends with an end marker; the decoder invents the rest."""
+    whole = encoded('.jpg', scene(channels), options)
+    assert share_found(whole, decoded_image(whole, 'image')) == 1
+    # of a progressive file the last fifth is the last bit of each coefficient
+    for keep in (0.3, 0.5) if options == PROGRESSIVE else (0.3, 0.5, 0.8):
+        for tail in (b'', whole[-200:-2]):
+            data = whole[: int(keep * len(whole))] + tail + b'\xff\xd9'
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            if tail and np.ptp(image[-8:, -8:]) > 4:
+                continue  # the tail was decoded in another place, up to the last block
+            if options != PROGRESSIVE and not tail:
+                share = share_found(data, image)
+                rows = np.flatnonzero(np.ptp(image.reshape(HEIGHT, -1), axis=1) > 4)
+                assert share == pytest.approx(
+                    (rows.max() + 1) / HEIGHT, abs=0.2
+                )  # whole rows of blocks
+            with pytest.raises(ImageError, match=r'right image is truncated: its \d+ bytes of'):
+                decoded_image(data, 'right image')
+
+
+def test_grey_images_are_whole() -> None:
+    grey = np.full((HEIGHT + 3, WIDTH + 5, 3), 128, np.uint8)
+    grey[:40] = scene()[:40, :1]
+    for options in (BASELINE, RESTARTS, OPTIMISED, PROGRESSIVE):
+        data = encoded('.jpg', grey, options)
+        assert decoded_image(data, 'image').shape == grey.shape
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'left.png')
+    with pytest.raises(FileError, match=r'left\.png is not a regular file'):
+        read_image_file(tmp_path / 'left.png')
