@@ -14,7 +14,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
+from binocular_recon.images import ByteImage, FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.inputs.levels import Levels, LevelTracker
 from binocular_recon.inputs.options import ImageConfig
@@ -24,14 +24,15 @@ from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
-from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
     LateInputOptions,
     PresetOptions,
+    RectifiedInfoOptions,
 )
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.nodes.runtime.rectified_node import RectifiedNode
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
@@ -41,7 +42,7 @@ from binocular_recon.stereo.triangulation import Cloud, triangulate
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
 
 
-class WlsFilterNode(FrameNode):
+class WlsFilterNode(RectifiedNode):
     """Filter the disparities of match_node or stereo_image_proc and triangulate them."""
 
     NAME = 'wls_filter_node'
@@ -51,6 +52,7 @@ class WlsFilterNode(FrameNode):
         Input('right/camera_info', CameraInfo),
         Input('disparity', DisparityImage),
         Input('confidence', Image, optional=True),
+        Input('match_validity', Image, optional=True),
     )
     OUTPUTS = (
         Output('disparity_wls', DisparityImage),
@@ -61,7 +63,7 @@ class WlsFilterNode(FrameNode):
         Output('validity', Image),
     )
     LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions, ImageConfig)
-    FIXED = (LateInputOptions, CalibrationOptions)
+    FIXED = (LateInputOptions, RectifiedInfoOptions, CalibrationOptions)
 
     def __init__(self) -> None:
         super().__init__()
@@ -91,10 +93,11 @@ class WlsFilterNode(FrameNode):
         right_info: CameraInfo,
         disparity: DisparityImage,
         confidence: Image | None,
+        reasons: Image | None,
     ) -> None:
         """Publish the outputs that somebody subscribes to."""
         image = read_image(left, 'left image').image
-        rig = self.rig(left_info, right_info, image, rectified=True)
+        rig = self.rectified_rig(left_info, right_info, image)
         measured = read_disparity(disparity, rig)
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
@@ -107,6 +110,7 @@ class WlsFilterNode(FrameNode):
             turn(_confidence(confidence, measured.disparity_px), rig.turns),
             guide,
             limits_px=measured.limits_px,
+            reasons=_reasons(reasons, rig),
         )
         filtered = turn_back(filtered, rig.turns)
         self.health.state('measured', f'{filtered.measured_share:.1%} of the pixels')
@@ -203,6 +207,17 @@ def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
     if message.encoding != '32FC1':
         raise ImageError(f'confidence has encoding {message.encoding!r}; it must be 32FC1')
     return read_image(message, 'confidence').image
+
+
+def _reasons(message: Image | None, rig: StereoRig) -> ByteImage | None:
+    """Return why pixels have no match, turned like the pair; None without a message."""
+    if message is None:
+        return None
+    if message.encoding != 'mono8':
+        raise ImageError(f'match_validity has encoding {message.encoding!r}; it must be mono8')
+    validity = read_image(message, 'match_validity').image
+    check_size(validity, rig.left.size, 'match_validity')
+    return turn(validity, rig.turns)
 
 
 def main() -> int:

@@ -25,6 +25,7 @@ from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.matching import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
+from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 from test.bag_tools import PERIOD_NS, START_NS, Record
 from test.system.chain import OUTPUTS, prime, start_chain
@@ -77,7 +78,7 @@ Frame = tuple[dict[str, Any], Reconstruction, Chain]
 @pytest.fixture(scope='module')
 def frames(graph: Graph, start_node: StartNode) -> Iterator[list[Frame]]:
     """Send all frames and return, of each, the messages and what the offline chain makes."""
-    start_chain(start_node, **RANGE)
+    start_chain(start_node, **{name: str(value) for name, value in RANGE.items()})
     cameras = CameraPair(graph, raw_rig())
     topics = [(f'/rig/{topic}', kind) for topic, kind in OUTPUTS.items()]
     done = []
@@ -156,6 +157,21 @@ def test_every_filtered_disparity(frames: list[Frame]) -> None:
         np.testing.assert_allclose(read.disparity_px, expected.filtered.disparity_px, atol=1e-3)
         shifted = values(message.image)
         assert (shifted > message.min_disparity).all() and (shifted < message.max_disparity).all()
+
+
+def test_validity_is_that_of_the_offline_chain(frames: list[Frame]) -> None:
+    """Also why a pixel was not measured, which the matcher knows and the filter publishes."""
+    seen = 0
+    for messages, expected, _ in frames:
+        for topic, validity in (
+            ('match_validity', expected.matched.validity),
+            ('validity', expected.filtered.validity),
+        ):
+            assert messages[topic].encoding == 'mono8'
+            np.testing.assert_array_equal(read_image(messages[topic]).image, validity)
+        seen |= int(np.bitwise_or.reduce(expected.filtered.validity, axis=None))
+    reasons = Validity.CONFLICT | Validity.AMBIGUOUS | Validity.NO_DATA
+    assert seen & reasons == reasons
 
 
 def test_messages_decode_by_the_published_definition(frames: list[Frame]) -> None:

@@ -60,6 +60,23 @@ class LateInputOptions(InputOptions):
     )
 
 
+# Names of the camera infos of rectified images, beside their images: `rectify_node` publishes the
+# second; cameras that rectify, and image_pipeline's nodes, have the first.
+INFO_TOPICS = ('camera_info', 'camera_info_rect')
+
+
+@dataclass(frozen=True)
+class RectifiedInfoOptions(Options):
+    """Where the camera infos of rectified images come from."""
+
+    camera_info: str = option(
+        INFO_TOPICS[0],
+        'Which topics under left/ and right/ hold the camera infos of the rectified images;'
+        ' camera_info_rect: those of rectify_node, which remappings of camera_info do not reach',
+        choices=INFO_TOPICS,
+    )
+
+
 @dataclass(frozen=True)
 class PresetOptions(Options):
     """Which preset sets the options that are not set explicitly."""
