@@ -16,7 +16,8 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch_ros.actions import Node
 
-from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.nodes.runtime.options import (

@@ -11,7 +11,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import PRESETS, ChainConfig, FilterConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage, mark_empty, to_bgr8, to_grey
@@ -37,6 +38,7 @@ from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtere
 from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
 from binocular_recon.stereo.rectification import check_size
+from binocular_recon.stereo.thinning import PointSet, thin
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
@@ -187,17 +189,20 @@ class WlsFilterNode(RectifiedNode):
             self.publish('depth', depth)
         if self.wanted('points2'):
             options = self.options.of(CloudMessageOptions)
-            points = PointCloud2()
+            colour = to_bgr8(*image) if options.use_color else None
+            points = PointSet(cloud, filtered.validity, colour)
+            kept, validity, colour = thin(points, self.options.of(CloudConfig))
+            message = PointCloud2()
             fill_cloud(
-                points,
-                cloud,
+                message,
+                kept,
                 left.header,
                 PointField,
-                colour=to_bgr8(*image) if options.use_color else None,
-                validity=filtered.validity if options.validity else None,
+                colour=colour,
+                validity=validity if options.validity else None,
                 padding=not options.avoid_point_cloud_padding,
             )
-            self.publish('points2', points)
+            self.publish('points2', message)
 
 
 def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:

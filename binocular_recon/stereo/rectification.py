@@ -13,7 +13,7 @@ from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
 from binocular_recon.inputs.camera_checks import scale_between
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import fixed, significant
 
 Map = npt.NDArray[np.float32]
 
@@ -21,6 +21,8 @@ Map = npt.NDArray[np.float32]
 LARGEST_SIDE_PX = 32766
 # Largest element of R R^T - I accepted in a rotation: files may hold few digits.
 _ROTATION_TOLERANCE = 1e-3
+# A smaller angle between two frames moves no point by what matters, rad; 15 m is a depth of use.
+_NO_TURN, _FAR_M = 1e-6, 15
 # Points per side of the image in `_border_points`.
 _BORDER_SAMPLES = 65
 
@@ -148,6 +150,18 @@ class Rectifier:
             check_size(image, self._size, side)
             rectified.append(cv2.remap(image, *maps, self._interpolation))
         return rectified[0], rectified[1]
+
+
+def frame_text(camera: Camera) -> str:
+    """Return how the rectified frame of a calibrated camera lies to the camera's, for a person."""
+    angle = float(np.linalg.norm(cv2.Rodrigues(camera.R)[0]))
+    if angle < _NO_TURN:
+        return 'that of the camera: R is the identity'
+    shift_mm = fixed(1000 * _FAR_M * np.tan(angle), 0)
+    return (
+        f"turned by {np.rad2deg(angle):.3f} deg against the camera's ({shift_mm} mm at"
+        f' {_FAR_M} m); x_rectified = R x_camera'
+    )
 
 
 def _check_rotation(camera: Camera, side: str) -> None:
