@@ -24,6 +24,7 @@ from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
     DepthBoundOptions,
+    FrameOptions,
     InputOptions,
     PresetOptions,
     QueueOptions,
@@ -37,7 +38,7 @@ RECTIFIER = 'rectify_node'
 # Options of each node that are launch arguments. Only the first node receives and pairs images of
 # the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
-    RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions),
+    RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions, FrameOptions),
     'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig),
     'wls_filter_node': (
         PresetOptions,
@@ -176,7 +177,8 @@ def _options(given: dict[str, str], *, rectify: bool) -> dict[str, tuple[type[Op
     """Return the options of each node to start; without rectification two receive the cameras."""
     if rectify:
         return OPTIONS
-    unused = [spec.name for spec in dataclasses.fields(RectifyOptions) if spec.name in given]
+    own = (*dataclasses.fields(RectifyOptions), *dataclasses.fields(FrameOptions))
+    unused = [spec.name for spec in own if spec.name in given]
     if unused:
         raise ConfigError(
             f'{", ".join(unused)}: options of {RECTIFIER}, which rectify:=false does not start;'

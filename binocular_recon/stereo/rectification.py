@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -152,16 +153,25 @@ class Rectifier:
         return rectified[0], rectified[1]
 
 
+def is_turned(camera: Camera) -> bool:
+    """Tell whether the rectified frame of a calibrated camera differs from the camera's."""
+    return _turn(camera) > _NO_TURN
+
+
 def frame_text(camera: Camera) -> str:
     """Return how the rectified frame of a calibrated camera lies to the camera's, for a person."""
-    angle = float(np.linalg.norm(cv2.Rodrigues(camera.R)[0]))
-    if angle < _NO_TURN:
+    if not is_turned(camera):
         return 'that of the camera: R is the identity'
-    shift_mm = fixed(1000 * _FAR_M * np.tan(angle), 0)
+    turn = _turn(camera)
+    shift_mm = fixed(1000 * _FAR_M * math.tan(turn), 0)
     return (
-        f"turned by {np.rad2deg(angle):.3f} deg against the camera's ({shift_mm} mm at"
+        f"turned by {math.degrees(turn):.3f} deg against the camera's ({shift_mm} mm at"
         f' {_FAR_M} m); x_rectified = R x_camera'
     )
+
+
+def _turn(camera: Camera) -> float:
+    return float(np.linalg.norm(cv2.Rodrigues(camera.R)[0]))
 
 
 def _check_rotation(camera: Camera, side: str) -> None:

@@ -25,7 +25,7 @@ IMAGES = image_pair(3)
 CROPPED = Chain(raw_rig(), CONFIG, alpha=0.0)
 
 
-def depth(graph: Graph, rig: StereoRig, images: Any, topics: dict[str, str]) -> np.ndarray:
+def depth(graph: Graph, rig: StereoRig, images: Any, topics: dict[str, str]) -> Image:
     """Send a pair on topics named by side and kind until its depth comes, and return that."""
     with graph.listening(DEPTH) as (inbox,):
 
@@ -38,14 +38,14 @@ def depth(graph: Graph, rig: StereoRig, images: Any, topics: dict[str, str]) -> 
             return bool(inbox.messages)
 
         wait_until(came, 'a depth image', every_s=0.2)
-        message = inbox.messages[0]
-    return np.frombuffer(message.data, np.float32).reshape(message.height, message.width)
+        return inbox.messages[0]
 
 
-def check_depth(found: np.ndarray, chain: Chain, images: Any) -> None:
+def check_depth(message: Image, chain: Chain, images: Any) -> None:
     """Compare a depth image with that of the offline chain; other infos give another scale."""
     expected = chain(*images).cloud.depth_m
     assert np.isfinite(expected).mean() > 0.6
+    found = np.frombuffer(message.data, np.float32).reshape(message.height, message.width)
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
@@ -56,14 +56,21 @@ def test_remappings_around_the_launch_file_reach_the_rectifier_only(
     assert CROPPED.rig.focal_px > 1.01 * raw_rig().focal_px
     outer = {'left/image_raw': 'cam0/image', 'left/camera_info': 'cam0/info'}
     given = {'right_namespace': '/cams/right', 'right_camera_info': 'cam1/info'}
-    nodes = start_chain(start_node, outer, alpha='0', **given, **RANGE)
+    given |= {'alpha': '0', 'frame_suffix': '_rectified'}
+    nodes = start_chain(start_node, outer, **given, **RANGE)
     topics = {
         'left_image': '/rig/cam0/image',
         'left_camera_info': '/rig/cam0/info',
         'right_image': '/cams/right/image_raw',
         'right_camera_info': '/rig/cam1/info',
     }
-    check_depth(depth(graph, raw_rig(), IMAGES, topics), CROPPED, IMAGES)
+    message = depth(graph, raw_rig(), IMAGES, topics)
+    check_depth(message, CROPPED, IMAGES)
+    # the frame comes from the rectified image; where tf2_msgs is missing, its transform is said
+    assert message.header.frame_id == 'left_optical_rectified'
+    said = 'from left_optical to left_optical_rectified is not published, because tf2_msgs'
+    offered = bool(graph.node.count_publishers('/tf_static'))
+    assert nodes[0].text().count(said) == (0 if offered else 1)
     assert graph.node.count_publishers('/cams/right/camera_info_rect') == 1
     for node in nodes:  # the next test's are to be alone
         assert node.stop() == 0

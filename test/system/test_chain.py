@@ -254,6 +254,29 @@ def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
             assert np.nanmin(z) >= 2.5 and np.nanmax(z) <= 4.0
 
 
+@pytest.mark.usefixtures('frames')
+def test_thinned_clouds(graph: Graph) -> None:
+    """What the offline chain writes; the depth image keeps its size."""
+    cameras = CameraPair(graph, raw_rig())
+    pair = image_pair(1)
+    points: tuple[str, type[Any]] = ('/rig/points2', PointCloud2)
+    limits = {'min_depth': 0.0, 'max_depth': 1e6, 'use_color': False}
+    with graph.listening(points, ('/rig/depth', Image)) as (clouds, depths):
+        for count, (decimation, voxel_size) in enumerate(((3, 0.0), (1, 0.1), (1, 0.0)), 1):
+            options = {'decimation': decimation, 'voxel_size': voxel_size}
+            assert graph.set_parameters('/rig/wls_filter_node', **options, **limits) == ''
+            cameras.send(len(FRAMES) + 10 + count, pair)
+            message, depth = clouds.wait(count)[-1], depths.wait(count)[-1]
+            config = ChainConfig.preset('default', **RANGE, **options)
+            expected = Chain(cameras.rig, config)(*pair).points.cloud
+            assert (message.height, message.width) == expected.sigma_z_m.shape
+            assert (depth.height, depth.width) == pair[0].shape
+            xyz = np.frombuffer(message.data, np.float32).reshape(message.height, -1, 4)[..., :3]
+            near = expected.depth_m < 20  # beyond, a rounded disparity may change the voxel
+            assert near.mean() > 0.6
+            np.testing.assert_allclose(xyz[near], expected.points_xyz[near], rtol=1e-2, atol=1e-3)
+
+
 def record(path: Path, count: int) -> Path:
     """Record what the cameras of `raw_rig` would publish."""
     records: list[Record] = []

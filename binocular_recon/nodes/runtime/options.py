@@ -114,6 +114,18 @@ class RectifyOptions(Options):
 
 
 @dataclass(frozen=True)
+class FrameOptions(Options):
+    """What frames of rectified images are called."""
+
+    frame_suffix: str = option(
+        '',
+        "Added to the cameras' frames for rectified images, and so for disparities and clouds;"
+        ' the transform is published on /tf_static; empty: rectified images keep the frames of'
+        ' the cameras, though R turns them',
+    )
+
+
+@dataclass(frozen=True)
 class CalibrationOptions(Options):
     """Which calibration is used."""
 
