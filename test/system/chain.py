@@ -43,7 +43,7 @@ def reliable(topics: list[str], depth: int = 0) -> dict[str, object]:
 
 
 def start_chain(
-    start_node: StartNode, outer: dict[str, str] | None = None, **arguments: str
+    start_node: StartNode, outer: dict[str, str] | None = None, /, **arguments: str
 ) -> list[NodeProcess]:
     """Start what the launch file starts with these arguments, reliable from the cameras on.
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Image, PointCloud2
 
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.images import to_bgr8
@@ -25,6 +26,8 @@ from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.matching import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
+from binocular_recon.stereo.thinning import PointSet, thin
+from binocular_recon.stereo.triangulation import Cloud
 from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 from test.bag_tools import PERIOD_NS, START_NS, Record
@@ -256,25 +259,33 @@ def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
 
 @pytest.mark.usefixtures('frames')
 def test_thinned_clouds(graph: Graph) -> None:
-    """What the offline chain writes; the depth image keeps its size."""
+    """Those of the whole cloud; the depth image keeps its size."""
     cameras = CameraPair(graph, raw_rig())
     pair = image_pair(1)
+    chain = Chain(cameras.rig, CONFIG)
+    validity = chain(*pair).filtered.validity
     points: tuple[str, type[Any]] = ('/rig/points2', PointCloud2)
     limits = {'min_depth': 0.0, 'max_depth': 1e6, 'use_color': False}
     with graph.listening(points, ('/rig/depth', Image)) as (clouds, depths):
-        for count, (decimation, voxel_size) in enumerate(((3, 0.0), (1, 0.1), (1, 0.0)), 1):
+        found = []
+        for count, (decimation, voxel_size) in enumerate(((1, 0.0), (3, 0.0), (2, 0.1)), 1):
             options = {'decimation': decimation, 'voxel_size': voxel_size}
             assert graph.set_parameters('/rig/wls_filter_node', **options, **limits) == ''
             cameras.send(len(FRAMES) + 10 + count, pair)
             message, depth = clouds.wait(count)[-1], depths.wait(count)[-1]
-            config = ChainConfig.preset('default', **RANGE, **options)
-            expected = Chain(cameras.rig, config)(*pair).points.cloud
-            assert (message.height, message.width) == expected.sigma_z_m.shape
-            assert (depth.height, depth.width) == pair[0].shape
-            xyz = np.frombuffer(message.data, np.float32).reshape(message.height, -1, 4)[..., :3]
-            near = expected.depth_m < 20  # beyond, a rounded disparity may change the voxel
-            assert near.mean() > 0.6
-            np.testing.assert_allclose(xyz[near], expected.points_xyz[near], rtol=1e-2, atol=1e-3)
+            assert (depth.height, depth.width) == validity.shape
+            values = np.frombuffer(message.data, np.float32)
+            values = values.reshape(message.height, message.width, 4)
+            found.append(values)
+            whole = Cloud(found[0][..., :3], found[0][..., 3:])
+            assert np.isfinite(whole.depth_m).mean() > 0.6
+            expected = thin(
+                PointSet(whole, validity),
+                CloudConfig(decimation=decimation, voxel_size=voxel_size),
+            ).cloud
+            np.testing.assert_array_equal(values[..., :3], expected.points_xyz)
+            np.testing.assert_array_equal(values[..., 3:], expected.sigma_m)
+    assert found[2].shape[0] == 1 and found[2].shape[1] < found[1].size
 
 
 def record(path: Path, count: int) -> Path:

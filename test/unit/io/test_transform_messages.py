@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +29,8 @@ def test_a_point_of_the_rectified_frame_is_that_of_the_camera(
 ) -> None:
     """As tf2 reads it: the transform takes points of the child frame to the parent frame."""
     R = rotation(np.array(turn, float))
-    message, transform = (
-        new_message(f'{name}')
-        for name in ('tf2_msgs/msg/TFMessage', 'geometry_msgs/msg/TransformStamped')
-    )
+    message = new_message('tf2_msgs/msg/TFMessage')
+    transform = new_message('geometry_msgs/msg/TransformStamped')
     header = new_message('std_msgs/msg/Header')
     header.frame_id = 'left_optical'
     fill_rotation(transform, R, header, 'left_optical_rectified')
@@ -40,7 +39,8 @@ def test_a_point_of_the_rectified_frame_is_that_of_the_camera(
         writer.write('/tf_static', message, 5, TopicQos(transient_local=True))
     with AnyReader([tmp_path / 'bag']) as bag:
         ((connection, _, data),) = bag.messages()
-        (read,) = bag.deserialize(data, connection.msgtype).transforms
+        recorded: Any = bag.deserialize(data, connection.msgtype)
+    (read,) = recorded.transforms
     assert (read.header.frame_id, read.child_frame_id) == (
         'left_optical',
         'left_optical_rectified',
