@@ -212,7 +212,19 @@ def empty_image(index: int) -> CompressedImage:
     return CompressedImage(header=header(index), format='mono8; png compressed ')
 
 
+def of_another_rig(_: int) -> DisparityImage:
+    message = disparity()
+    message.f = 278.0
+    return message
+
+
 BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
+    'disparity of another rig': (
+        'disparity',
+        of_another_rig,
+        'disparity was made with f = 278, the camera infos say 200; use the camera infos of the'
+        ' rectified images (parameter camera_info) in both nodes',
+    ),
     'disparity of another type': (
         'disparity',
         lambda _: disparity(encoding='16UC1', step=320),
@@ -301,7 +313,8 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
         np.testing.assert_allclose(read.disparity_px, expected.disparity_px, atol=1e-3)
     assert status.level == status.ERROR
     values = {item.key: item.value for item in status.values}
-    assert values['dropped: bad input'] == str(len(BAD))
+    assert values['dropped: bad calibration'] == '1'  # f
+    assert values['dropped: bad input'] == str(len(BAD) - 1)
     assert 'Traceback' not in matcher.node.text()
 
 
