@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -65,9 +66,10 @@ def prime(cameras: CameraPair, inboxes: list[Inbox], frame: Any = None) -> None:
     """
     images = image_pair(0) if frame is None else frame
     last_ns = stamp_ns(header(20_000))
+    indices = itertools.count(10_000)  # stamps that stand still are refused
 
     def all_came() -> bool:
-        cameras.send(10_000, images)
+        cameras.send(next(indices), images)
         return all(inbox.messages for inbox in inboxes)
 
     wait_until(all_came, 'every output', every_s=0.2)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,16 @@ CROPPED = Chain(raw_rig(), CONFIG, alpha=0.0)
 
 def depth(graph: Graph, rig: StereoRig, images: Any, topics: dict[str, str]) -> Image:
     """Send a pair on topics named by side and kind until its depth comes, and return that."""
+    indices = itertools.count()  # stamps that stand still are refused
     with graph.listening(DEPTH) as (inbox,):
 
         def came() -> bool:
+            index = next(indices)
             for side, image, camera in zip(SIDES, images, (rig.left, rig.right), strict=True):
                 infos = graph.publisher(topics[f'{side}_camera_info'], CameraInfo)
-                infos.publish(info_message(camera, header(1, side)))
+                infos.publish(info_message(camera, header(index, side)))
                 sender = graph.publisher(topics[f'{side}_image'], Image)
-                sender.publish(image_message(image, header(1, side)))
+                sender.publish(image_message(image, header(index, side)))
             return bool(inbox.messages)
 
         wait_until(came, 'a depth image', every_s=0.2)

@@ -222,8 +222,7 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
     'disparity of another rig': (
         'disparity',
         of_another_rig,
-        'disparity was made with f = 278, the camera infos say 200; use the camera infos of the'
-        ' rectified images (parameter camera_info) in both nodes',
+        'disparity was made with f = 278, the camera infos say 200; use the camera infos of',
     ),
     'disparity of another type': (
         'disparity',
