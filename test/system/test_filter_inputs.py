@@ -18,7 +18,7 @@ from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
-from binocular_recon.io.messages.images import stamp_ns
+from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.filtering.wls_filter import filter_disparity
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.orientation import turn
@@ -159,51 +159,6 @@ def test_images_wait_for_a_slow_matcher(graph: Graph, matcher: Matcher) -> None:
     assert stamps == [stamp_ns(header(100 + k)) for k in range(0, 30, 5)]
 
 
-def standing(camera: Camera) -> Camera:
-    """Return the camera of the image turned clockwise."""
-    (fx, _, cx, tx), (_, fy, cy, _) = camera.P[:2]
-    P = np.array([[fy, 0, camera.height - 1 - cy, 0], [0, fx, cx, tx], [0, 0, 1, 0]])
-    return Camera(camera.height, camera.width, P[:, :3], np.zeros(5), np.eye(3), P)
-
-
-def test_cameras_one_above_the_other(graph: Graph, matcher: Matcher) -> None:
-    """The rig on its side: its cloud is that of the lying rig, turned about the optical axis."""
-    rig = StereoRig(standing(RECTIFY.rig.left), standing(RECTIFY.rig.right))
-    assert rig.turns == 1
-    image, raw = turn(LEFT, -1), turn(MATCH.disparity_px, -1)
-    message = DisparityImage()
-    fill_disparity(message, raw, rig, CONFIG.limits_px, header(150), step_px=1 / 64)
-    infos = [
-        info_message(camera, header(150, side))
-        for camera, side in zip((rig.left, rig.right), SIDES, strict=True)
-    ]
-    sent = [compressed_message(image, header(150)), *infos, message]
-    points: tuple[str, type[PointCloud2]] = ('/rig/points2', PointCloud2)
-    with graph.listening(WLS, points) as (wls, clouds):
-        matcher.wait_for_filter()
-        matcher.send(**dict(zip(REQUIRED, sent, strict=True)))
-        disparity_wls, cloud = wls.wait()[0], clouds.wait()[0]
-    lying = filter_disparity(
-        MATCH.disparity_px,
-        np.isfinite(MATCH.disparity_px).astype(np.float32),
-        grey(LEFT),
-        FilterConfig(),
-        limits_px=CONFIG.limits_px,
-    )
-    found = turn(read_disparity(disparity_wls, rig).disparity_px, 1)
-    np.testing.assert_allclose(found, lying.disparity_px, atol=1e-3)
-    expected = triangulate(
-        lying.disparity_px, lying.sigma_px, lying.validity, RECTIFY.rig, CloudConfig()
-    )
-    assert (cloud.height, cloud.width) == image.shape
-    xyz = np.frombuffer(cloud.data, np.float32).reshape(*image.shape, -1)[..., :3]
-    # the image's right is now its bottom, and its bottom its left
-    x, y, z = np.moveaxis(turn(np.ascontiguousarray(xyz), 1), -1, 0)
-    assert np.isfinite(z).mean() > 0.6
-    turned = np.stack([y, -x, z], axis=-1)
-    np.testing.assert_allclose(turned, expected.points_xyz, rtol=1e-3, atol=1e-4)
-
-
 def small_image(index: int) -> CompressedImage:
     return compressed_message(LEFT[:60, :80], header(index))
 
@@ -278,7 +233,7 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
 
 
 def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> None:
-    """With confidence from now on, so this is the last test."""
+    """With confidence and reasons from now on, so only the last test comes after it."""
     expected = filter_disparity(
         MATCH.disparity_px,
         MATCH.confidence,
@@ -315,6 +270,63 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
     assert values['dropped: bad calibration'] == '1'  # f
     assert values['dropped: bad input'] == str(len(BAD) - 1)
     assert 'Traceback' not in matcher.node.text()
+
+
+def standing(camera: Camera) -> Camera:
+    """Return the camera of the image turned clockwise."""
+    (fx, _, cx, tx), (_, fy, cy, _) = camera.P[:2]
+    P = np.array([[fy, 0, camera.height - 1 - cy, 0], [0, fx, cx, tx], [0, 0, 1, 0]])
+    return Camera(camera.height, camera.width, P[:, :3], np.zeros(5), np.eye(3), P)
+
+
+def test_cameras_one_above_the_other(graph: Graph, matcher: Matcher) -> None:
+    """The rig on its side: its cloud is that of the lying rig, turned about the optical axis."""
+    rig = StereoRig(standing(RECTIFY.rig.left), standing(RECTIFY.rig.right))
+    assert rig.turns == 1
+    image, raw = turn(LEFT, -1), turn(MATCH.disparity_px, -1)
+    message = DisparityImage()
+    fill_disparity(message, raw, rig, CONFIG.limits_px, header(900), step_px=1 / 64)
+    infos = [
+        info_message(camera, header(900, side))
+        for camera, side in zip((rig.left, rig.right), SIDES, strict=True)
+    ]
+    sent = [
+        compressed_message(image, header(900)),
+        *infos,
+        message,
+        image_message(turn(MATCH.confidence, -1), header(900), '32FC1'),
+        image_message(turn(MATCH.validity, -1), header(900)),
+    ]
+    outputs = ('/rig/points2', PointCloud2), ('/rig/validity', Image)
+    with graph.listening(WLS, *outputs) as (wls, clouds, validities):
+        matcher.wait_for_filter()
+        for topic in OPTIONAL:
+            graph.publisher(f'/rig/{topic}', Image)
+            graph.wait_for_subscriber(f'/rig/{topic}')
+        matcher.send(**dict(zip(KINDS, sent, strict=True)))
+        disparity_wls, cloud = wls.wait()[0], clouds.wait()[0]
+        validity = read_image(validities.wait()[0]).image
+    lying = filter_disparity(
+        MATCH.disparity_px,
+        MATCH.confidence,
+        grey(LEFT),
+        FilterConfig(),
+        limits_px=CONFIG.limits_px,
+        reasons=MATCH.validity,
+    )
+    np.testing.assert_array_equal(turn(validity, 1), lying.validity)
+    found = turn(read_disparity(disparity_wls, rig).disparity_px, 1)
+    np.testing.assert_allclose(found, lying.disparity_px, atol=1e-3)
+    expected = triangulate(
+        lying.disparity_px, lying.sigma_px, lying.validity, RECTIFY.rig, CloudConfig()
+    )
+    assert (cloud.height, cloud.width) == image.shape
+    xyz = np.frombuffer(cloud.data, np.float32).reshape(*image.shape, -1)[..., :3]
+    # the image's right is now its bottom, and its bottom its left
+    x, y, z = np.moveaxis(turn(np.ascontiguousarray(xyz), 1), -1, 0)
+    assert np.isfinite(z).mean() > 0.6
+    turned = np.stack([y, -x, z], axis=-1)
+    np.testing.assert_allclose(turned, expected.points_xyz, rtol=1e-3, atol=1e-4)
 
 
 def _holds(node: NodeProcess, text: str) -> bool:
