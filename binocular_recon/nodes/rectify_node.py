@@ -22,7 +22,7 @@ from binocular_recon.nodes.runtime.options import (
 )
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.nodes.runtime.rectified_frames import RectifiedFrames
-from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.rectification import Rectifier, frame_text
 
 _SIDES = ('left', 'right')
 _IMAGES = (
@@ -92,6 +92,7 @@ class RectifyNode(FrameNode):
         options = self.options.of(RectifyOptions)
         if self._current is None or self._current[0] is not rig or self._current[1] != options:
             self._current = rig, options, Rectifier(rig, options.alpha, options.interpolation)
+            self.health.state('left rectified frame', frame_text(rig.left))
         return self._current[2]
 
 

@@ -92,7 +92,7 @@ def _voxel_means(points: PointSet, size_m: float) -> PointSet:
     bits = validity.ravel()[kept]
     measured = (bits & Validity.MEASURED) > 0
     any_measured = np.logical_or.reduceat(measured, starts)
-    counts = measured | ~np.repeat(any_measured, np.diff([*starts, len(bits)]))
+    counts = measured | ~np.repeat(any_measured, np.diff(starts, append=len(bits)))
     sigma_z = cloud.sigma_z_m.ravel()[kept].astype(np.float64)
     weight = np.where(counts, 1 / np.maximum(sigma_z, _LEAST_SIGMA_M) ** 2, 0.0)
     total = np.add.reduceat(weight, starts)
