@@ -2,18 +2,17 @@
 """Options of the chain: the one place for their defaults, units, ranges and descriptions.
 
 The nodes' ROS parameters, the command line's options and the tables of the documentation are made
-from these fields; `inputs.options` holds those of the input. Names shared with image_pipeline have
-the same meaning there.
+from these fields; `inputs.options` holds those of the input, `cloud_config` those of the points.
+Names shared with image_pipeline have the same meaning there.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
-import re
 from dataclasses import dataclass, field
 from typing import Any
 
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.options import Options, OptionValue, option
@@ -182,55 +181,6 @@ class FilterConfig(Options):
         'Start the solver from the solution of the previous frame; faster, but results then depend'
         ' on earlier frames, within the tolerance',
     )
-
-
-# A depth with a larger standard deviation, as a share of it, says nothing: there is no point.
-LARGEST_SIGMA_SHARE = 1 / 3
-
-
-@dataclass(frozen=True)
-class CloudConfig(Options):
-    """Options of triangulation (eq. 16-18)."""
-
-    min_depth: float = option(
-        0.0, 'Points nearer than this are left out', unit='m', minimum=0.0, maximum=1e6
-    )
-    max_depth: float = option(
-        1e6, 'Points farther than this are left out', unit='m', minimum=0.0, maximum=1e6
-    )
-    keep: str = option(
-        'all', 'Keep measured points only, or filled ones too', choices=('measured', 'all')
-    )
-    max_sigma: str = option(
-        '10%',
-        'Points whose depth has a larger standard deviation are left out: in metres, or with % as'
-        ' a share of the depth; from a third of the depth on always',
-    )
-
-    @property
-    def sigma_limit(self) -> tuple[float, float]:
-        """Largest standard deviation of the depth of a point: in metres, and as a share of it."""
-        text = self.max_sigma.strip()
-        value = float(text.removesuffix('%'))
-        if text.endswith('%'):
-            return math.inf, min(value / 100, LARGEST_SIGMA_SHARE)
-        return value, LARGEST_SIGMA_SHARE
-
-    def __post_init__(self) -> None:
-        """Check that the depth range is not empty and that ``max_sigma`` is a number above 0."""
-        super().__post_init__()
-        if not re.fullmatch(r'\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*%?\s*', self.max_sigma) or (
-            min(self.sigma_limit) <= 0
-        ):
-            raise ConfigError(
-                'max_sigma must be metres or a share of the depth, above 0, such as 0.05 or 10%,'
-                f' got {self.max_sigma!r}'
-            )
-        if self.min_depth > self.max_depth:
-            raise ConfigError(
-                f'min_depth must be at most max_depth, got {self.min_depth:g} m and'
-                f' {self.max_depth:g} m'
-            )
 
 
 @dataclass(frozen=True)

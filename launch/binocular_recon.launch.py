@@ -16,12 +16,15 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch_ros.actions import Node
 
-from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import FilterConfig, MatchConfig
+from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
     DepthBoundOptions,
+    FrameOptions,
     InputOptions,
     PresetOptions,
     QueueOptions,
@@ -31,10 +34,11 @@ from binocular_recon.options import Options, OptionValue, check_option
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')
+RECTIFIER = 'rectify_node'
 # Options of each node that are launch arguments. Only the first node receives and pairs images of
 # the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
-    'rectify_node': (InputOptions, CalibrationOptions, RectifyOptions),
+    RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions, FrameOptions),
     'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig),
     'wls_filter_node': (
         PresetOptions,
@@ -47,18 +51,31 @@ OPTIONS: dict[str, tuple[type[Options], ...]] = {
     ),
 }
 # Messages between the nodes must not be lost: reliable, whatever the cameras are.
+_MEASURED = ['disparity', 'confidence', 'match_validity']
 _RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
 RELIABLE = {
-    'rectify_node': [],
     'match_node': _RECTIFIED,
-    'wls_filter_node': ['disparity', 'confidence', 'left/image_rect', *_RECTIFIED[1::2]],
+    'wls_filter_node': [*_MEASURED, 'left/image_rect', *_RECTIFIED[1::2]],
 }
-REMAPPINGS = [(f'{side}/camera_info', f'{side}/camera_info_rect') for side in SIDES]
 # Fast DDS 3 knows the first name, Fast DDS 2 (Jazzy and earlier) the second.
 PROFILE_VARIABLES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
+_IMAGE = (
+    'Images of the {0} camera; empty: <{0}_namespace>/image_raw, image_rect with rectify:=false'
+)
+_INFO = 'Camera infos of the {0} camera; empty: <{0}_namespace>/camera_info'
 # Arguments that are not options of a node: default and description.
 ARGUMENTS = {
     'namespace': ('', 'Namespace of the rig: its topics are <namespace>/left/image_raw, ...'),
+    'left_namespace': ('left', 'Namespace of the left camera and of its rectified image'),
+    'right_namespace': ('right', 'Namespace of the right camera and of its rectified image'),
+    'left_image': ('', _IMAGE.format('left')),
+    'left_camera_info': ('', _INFO.format('left')),
+    'right_image': ('', _IMAGE.format('right')),
+    'right_camera_info': ('', _INFO.format('right')),
+    'rectify': (
+        'true',
+        'Rectify the images; false: they are rectified already, and the camera infos are theirs',
+    ),
     'params_file': ('', 'YAML file with parameters of the nodes; launch arguments override it'),
     'use_sim_time': (
         'false',
@@ -105,23 +122,29 @@ def _start(context: LaunchContext) -> list[Any]:
     """Return the nodes with the arguments that were given."""
     given = {name: value for name, value in context.launch_configurations.items() if value}
     switched = {
-        name: yaml.safe_load(given.get(name, 'false')) for name in ('use_sim_time', 'rviz')
+        name: yaml.safe_load(given.get(name, ARGUMENTS[name][0]))
+        for name in ('use_sim_time', 'rviz', 'rectify')
     }
+    options = _options(given, rectify=switched['rectify'])
+    topics = _topics(given, rectify=switched['rectify'])
     actions: list[Any] = []
     profile = given.get('dds_profile')
     if profile and not any(name in os.environ for name in PROFILE_VARIABLES):
         older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
         actions.append(SetEnvironmentVariable(PROFILE_VARIABLES[older], profile))
     namespace = given.get('namespace', '').strip('/')
-    for executable, groups in OPTIONS.items():
+    for executable, groups in options.items():
         specs = [spec for group in groups for spec in dataclasses.fields(group)]
         values: dict[str, OptionValue] = {
             spec.name: _value(spec, given[spec.name]) for spec in specs if spec.name in given
         }
         values['use_sim_time'] = switched['use_sim_time']
-        prefix = f'/{namespace}' if namespace else ''
-        for topic in RELIABLE[executable]:
-            values[f'qos_overrides.{prefix}/{topic}.subscription.reliability'] = 'reliable'
+        if executable != RECTIFIER and switched['rectify']:
+            values['camera_info'] = 'camera_info_rect'
+        for topic in RELIABLE.get(executable, []):
+            if switched['rectify'] or topic in _MEASURED:
+                name = _absolute(topics.get(topic, topic), namespace)
+                values[f'qos_overrides.{name}.subscription.reliability'] = 'reliable'
         files = [given['params_file']] if 'params_file' in given else []
         actions.append(
             Node(
@@ -129,7 +152,7 @@ def _start(context: LaunchContext) -> list[Any]:
                 executable=executable,
                 namespace=namespace,
                 parameters=[*files, values],
-                remappings=[] if executable == 'rectify_node' else REMAPPINGS,
+                remappings=list(topics.items()),
                 output='screen',
             )
         )
@@ -144,9 +167,48 @@ def _start(context: LaunchContext) -> list[Any]:
                     *('-f', given.get('rviz_frame', ARGUMENTS['rviz_frame'][0])),
                 ],
                 parameters=[{'use_sim_time': switched['use_sim_time']}],
+                remappings=list(topics.items()),
             )
         )
     return actions
+
+
+def _options(given: dict[str, str], *, rectify: bool) -> dict[str, tuple[type[Options], ...]]:
+    """Return the options of each node to start; without rectification two receive the cameras."""
+    if rectify:
+        return OPTIONS
+    own = (*dataclasses.fields(RectifyOptions), *dataclasses.fields(FrameOptions))
+    unused = [spec.name for spec in own if spec.name in given]
+    if unused:
+        raise ConfigError(
+            f'{", ".join(unused)}: options of {RECTIFIER}, which rectify:=false does not start;'
+            ' omit them'
+        )
+    return {
+        name: (InputOptions, *(group for group in groups if group is not QueueOptions))
+        for name, groups in OPTIONS.items()
+        if name != RECTIFIER
+    }
+
+
+def _topics(given: dict[str, str], *, rectify: bool) -> dict[str, str]:
+    """Return the topics of the rig whose names differ from those of the nodes."""
+    topics = {}
+    for side in SIDES:
+        folder = given.get(f'{side}_namespace', side).rstrip('/')
+        for name in ('image_raw', 'camera_info', 'image_rect', 'camera_info_rect'):
+            topics[f'{side}/{name}'] = f'{folder}/{name}'
+        image = f'{side}/image_raw' if rectify else f'{side}/image_rect'
+        for topic, argument in ((image, 'image'), (f'{side}/camera_info', 'camera_info')):
+            topics[topic] = given.get(f'{side}_{argument}', topics[topic])
+    return {topic: name for topic, name in topics.items() if topic != name}
+
+
+def _absolute(topic: str, namespace: str) -> str:
+    """Return the full name of a topic of the rig."""
+    if topic.startswith('/'):
+        return topic
+    return f'/{namespace}/{topic}' if namespace else f'/{topic}'
 
 
 def _value(spec: dataclasses.Field[Any], text: str) -> OptionValue:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch files and parameter files agree with what the nodes declare.
-
-`launch` cannot be installed from a package index: stand-ins record the actions without it.
-"""
+"""Launch files and parameter files agree with what the nodes declare."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ import importlib.util
 import runpy
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,69 +15,16 @@ import yaml
 
 from binocular_recon.errors import ConfigError
 from binocular_recon.options import check_option
+from test.conftest import REPOSITORY
+from test.launch_tools import CHAIN, REPLAY, Node, SetEnvironmentVariable, launched, launched_nodes
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-CHAIN = REPOSITORY / 'launch' / 'binocular_recon.launch.py'
-REPLAY = REPOSITORY / 'launch' / 'replay.launch.py'
 pytestmark = pytest.mark.ros
 
 
-class Described:
-    """An action of a launch file: it keeps its arguments."""
-
-    def __init__(self, *positional: Any, **named: Any) -> None:
-        self.positional = positional
-        vars(self).update(named)
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name)
-
-
-class DeclareLaunchArgument(Described): ...
-
-
-class SetEnvironmentVariable(Described): ...
-
-
-class Node(Described): ...
-
-
-class IncludeLaunchDescription(Described): ...
-
-
-class LaunchConfiguration(Described): ...
-
-
 @pytest.fixture(autouse=True)
-def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    members: dict[str, dict[str, Any]] = {
-        'launch': {'LaunchDescription': list, 'LaunchContext': object},
-        'launch.actions': {
-            'DeclareLaunchArgument': DeclareLaunchArgument,
-            'IncludeLaunchDescription': IncludeLaunchDescription,
-            'OpaqueFunction': Described,
-            'SetEnvironmentVariable': SetEnvironmentVariable,
-        },
-        'launch.substitutions': {'LaunchConfiguration': LaunchConfiguration},
-        'launch.launch_description_sources': {'PythonLaunchDescriptionSource': Described},
-        'launch_ros': {},
-        'launch_ros.actions': {'Node': Node},
-    }
-    for name, contents in members.items():
-        module = ModuleType(name)
-        vars(module).update(contents)
-        monkeypatch.setitem(sys.modules, name, module)
+def _no_profile(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.delenv(name, raising=False)
-
-
-def launched(path: Path, **given: str) -> tuple[dict[str, Any], list[Any]]:
-    """Return the arguments of a launch file by name, and what it starts with those given."""
-    *described, start = runpy.run_path(str(path))['generate_launch_description']()
-    named = {one.positional[0]: one for one in described if isinstance(one, DeclareLaunchArgument)}
-    values = {name: argument.default_value for name, argument in named.items()} | given
-    included = [one for one in described if isinstance(one, IncludeLaunchDescription)]
-    return named, [*included, *start.function(SimpleNamespace(launch_configurations=values))]
 
 
 def nodes() -> dict[str, Any]:
@@ -91,6 +34,9 @@ def nodes() -> dict[str, Any]:
     return {name: node_class(name) for name in ('rectify_node', 'match_node', 'wls_filter_node')}
 
 
+SIDES = ('left', 'right')
+
+
 def options(node: Any) -> dict[str, Any]:
     groups = [*node.LIVE, *node.FIXED]
     return {spec.name: spec for group in groups for spec in dataclasses.fields(group)}
@@ -98,9 +44,11 @@ def options(node: Any) -> dict[str, Any]:
 
 def test_every_argument_is_described_and_is_an_option_of_a_node() -> None:
     own = {'namespace', 'params_file', 'use_sim_time', 'rviz', 'rviz_frame', 'dds_profile'}
+    own |= {f'{side}_{kind}' for side in SIDES for kind in ('namespace', 'image', 'camera_info')}
     arguments, _ = launched(CHAIN)
     declared = {name for node in nodes().values() for name in options(node)}
-    assert set(arguments) - own == declared
+    # the launch file sets `camera_info` itself, by whether it rectifies
+    assert set(arguments) - own - {'rectify'} == declared - {'camera_info'}
     assert all(len(argument.description) > 15 for argument in arguments.values())
     arguments, _ = launched(REPLAY, bag='some.bag')
     assert set(arguments) == {'bag', 'rate', 'loop', 'clock'}
@@ -108,30 +56,76 @@ def test_every_argument_is_described_and_is_an_option_of_a_node() -> None:
     assert all(len(argument.description) > 15 for argument in arguments.values())
 
 
+def resolved(node: Any, topic: str) -> str:
+    """Return the full name of a topic as ROS resolves it."""
+    name = dict(node.remappings).get(topic, topic)
+    return name if name.startswith('/') else '/'.join(['', *filter(None, [node.namespace, name])])
+
+
+def check_wiring(node: Any, offered: set[str]) -> set[str]:
+    """Check QoS and namespace of a node; return the full names of its inputs and outputs."""
+    declared = nodes()[node.executable]
+    parameters = node.parameters[-1]
+    chosen = parameters.get('camera_info', 'camera_info')
+    topics = [one.topic for one in declared.INPUTS]
+    if node.executable != 'rectify_node':
+        topics = [topic.replace('camera_info', chosen) for topic in topics]
+    inputs = {resolved(node, topic) for topic in topics}
+    # what an earlier node publishes is reliable, what the cameras publish is not touched
+    between = {f'qos_overrides.{name}.subscription.reliability' for name in inputs & offered}
+    assert {name for name in parameters if name.startswith('qos')} == between
+    assert all(parameters[name] == 'reliable' for name in between)
+    offered |= {resolved(node, one.topic) for one in declared.OUTPUTS}
+    return inputs
+
+
 @pytest.mark.parametrize('namespace', ['', 'rig', '/robot/rig/'])
 def test_nodes_are_wired_to_each_other(namespace: str) -> None:
-    _, actions = launched(CHAIN, namespace=namespace)
-    started = [action for action in actions if isinstance(action, Node)]
+    started = launched_nodes(namespace=namespace)
     assert [node.executable for node in started] == list(nodes())
-    prefix = f'/{namespace.strip("/")}' if namespace else ''
     offered: set[str] = set()
     for node in started:
-        declared = nodes()[node.executable]
-        inputs = {one.topic for one in declared.INPUTS}
-        remapped = dict(node.remappings)
-        assert remapped.keys() <= inputs
-        topics = {remapped.get(topic, topic) for topic in inputs}
-        # what an earlier node publishes is reliable, what the cameras publish is not touched
-        between = {
-            f'qos_overrides.{prefix}/{topic}.subscription.reliability'
-            for topic in topics & offered
-        }
-        (values,) = node.parameters
-        assert {name for name in values if name.startswith('qos')} == between
-        assert all(values[name] == 'reliable' for name in between)
-        assert node.executable == 'rectify_node' or topics <= offered
-        offered |= {one.topic for one in declared.OUTPUTS}
+        known = set(offered)
+        inputs = check_wiring(node, offered)
+        assert node.executable == 'rectify_node' or inputs <= known
         assert (node.package, node.namespace) == ('binocular_recon', namespace.strip('/'))
+
+
+def test_cameras_with_other_topics() -> None:
+    """Those of the arguments, else those of image_pipeline's namespaces of the cameras."""
+    given = {
+        'left_image': '/cam0/image',
+        'left_camera_info': 'cam0/info',
+        'right_namespace': '/cams/right/',
+        'right_camera_info': '/cam1/info',
+    }
+    rectify, match, wls = launched_nodes(namespace='rig', **given)
+    offered: set[str] = set()
+    assert check_wiring(rectify, offered) == {
+        *('/cam0/image', '/rig/cam0/info', '/cams/right/image_raw', '/cam1/info'),
+    }
+    known = set(offered)
+    assert '/cams/right/image_rect' in known and '/rig/left/image_rect' in known
+    for node in (match, wls):
+        assert check_wiring(node, offered) <= known | offered
+
+
+def test_rectified_cameras_need_no_rectifier() -> None:
+    """Two nodes take the cameras, so both get the options of the input."""
+    given = {'left_image': 'left/image_rect_color', 'image_transport': 'compressed'}
+    match, wls = launched_nodes(rectify='false', approximate_sync='true', queue_size='9', **given)
+    offered: set[str] = set()
+    cameras = {'/left/image_rect_color', '/left/camera_info', '/right/camera_info'}
+    assert check_wiring(match, offered) == cameras | {'/right/image_rect'}
+    assert check_wiring(wls, offered) == cameras | {
+        f'/{one.topic}' for one in nodes()['match_node'].OUTPUTS
+    }
+    for node in (match, wls):
+        values = node.parameters[-1]
+        assert (values['approximate_sync'], values['queue_size']) == (True, 9)
+        assert values['image_transport'] == 'compressed'
+    with pytest.raises(ConfigError, match=r'^alpha: options of rectify_node, which rectify:=fal'):
+        launched(CHAIN, rectify='false', alpha='0')
 
 
 def test_arguments_become_parameters_of_the_right_nodes() -> None:
@@ -163,7 +157,12 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
             'calibration': '/home/me/rig',
             'use_sim_time': True,
         },
-        'match_node': {'preset': 'paper', 'disparity_range': 64, 'use_sim_time': True},
+        'match_node': {
+            'preset': 'paper',
+            'disparity_range': 64,
+            'use_sim_time': True,
+            'camera_info': 'camera_info_rect',
+        },
         'wls_filter_node': {
             'preset': 'paper',
             'queue_size': 80,
@@ -171,6 +170,7 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
             'use_color': False,
             'calibration': '/home/me/rig',
             'use_sim_time': True,
+            'camera_info': 'camera_info_rect',
         },
     }
     assert all(
@@ -181,6 +181,8 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
 def test_every_argument_reaches_its_node_with_the_type_of_its_option() -> None:
     specs = {name: spec for node in nodes().values() for name, spec in options(node).items()}
     for name, spec in specs.items():
+        if name == 'camera_info':
+            continue  # set by the launch file
         default = spec.default
         texts: list[tuple[str, Any]] = [(str(default), default)] if default != '' else []
         if isinstance(default, float):

@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # modules of a folder may stand in several rooms, some below its subfolders and some above.
 ROOMS = [
     {'errors', 'options', 'number_text', '_lazy', '_kernel_cache', 'rotations', 'lenses'},
-    {'inputs', 'config', 'camera', '_jit', '_simd', 'machine'},
+    {'inputs', 'config', 'cloud_config', 'camera', '_jit', '_simd', 'machine'},
     {'images', 'pairing'},
     {'stereo.rectification', 'stereo.confidence', 'stereo.validity', 'stereo._validity_kernels'},
     {'stereo.holes'},
@@ -32,6 +32,7 @@ ROOMS = [
         'stereo.orientation',
         'stereo.diagnosis',
         'stereo.search_range',
+        'stereo.thinning',
         'stereo.triangulation',
         'stereo._triangulation_kernels',
         'stereo.pipeline',
@@ -70,7 +71,8 @@ TYPES_ONLY = {'camera', 'images'}
 BAGS = {'rosbags'}
 ROS = {
     'builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'rcl_interfaces', 'rclpy',
-    'rosgraph_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs', 'stereo_msgs', 'visualization_msgs',
+    'rosgraph_msgs', 'sensor_msgs', 'std_msgs', 'std_srvs', 'stereo_msgs', 'tf2_msgs',
+    'visualization_msgs',
 }  # fmt: skip
 MOST_MODULES, MOST_LINES = 15, 300
 

@@ -31,6 +31,7 @@ REQUIRED = [r for r in map(Requirement, INSTALLED.requires or []) if r.marker is
 
 # rosdep's key and the name on the package index; what setup.py lists, package.xml lists too.
 ROSDEP = {
+    'python3-lz4': 'lz4',
     'python3-numba': 'numba',
     'python3-numpy': 'numpy',
     'python3-opencv': 'opencv-python-headless',

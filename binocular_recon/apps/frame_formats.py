@@ -24,6 +24,8 @@ from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
 from binocular_recon.io.ply import write_ply
 from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.rectification import frame_text
+from binocular_recon.stereo.thinning import PointSet
 from binocular_recon.stereo.triangulation import Cloud
 
 
@@ -57,6 +59,16 @@ class FrameResult:
     def cloud(self) -> Cloud:
         """Points and their standard deviations, m; NaN = none."""
         return self.reconstruction.cloud
+
+    @property
+    def points(self) -> PointSet:
+        """The points to write, with validity and colour: thinned as the options say."""
+        return self.reconstruction.points
+
+    @property
+    def frame(self) -> str:
+        """How the frame of the points lies to that of the left camera."""
+        return frame_text(self.rig.left)
 
     @cached_property
     def left_bgr(self) -> ByteImage:
@@ -95,6 +107,12 @@ def _write_heat_map(path: Path, disparity_px: FloatImage) -> None:
     write_image_file(path, heat_map_with_scale(disparity_px, 'px'))
 
 
+def _write_points(path: Path, points: PointSet, frame: str) -> None:
+    cloud, validity, bgr = points
+    assert bgr is not None  # a frame has colour
+    write_ply(path, cloud, validity, bgr, frame=frame)
+
+
 def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
     """Write the left image and, beside it, the cloud from an oblique view."""
     drawing = draw_cloud(cloud.points_xyz, bgr, (bgr.shape[1], bgr.shape[0]))
@@ -106,6 +124,6 @@ FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
     'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
-    'cloud': FrameFormat('.ply', ('cloud', 'validity', 'left_bgr'), write_ply),
+    'cloud': FrameFormat('.ply', ('points', 'frame'), _write_points),
     'drawing': FrameFormat('_cloud.png', ('cloud', 'left_bgr'), _write_drawing, on_request=True),
 }

@@ -24,6 +24,7 @@ from binocular_recon.machine import machine_facts
 from binocular_recon.number_text import reach
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.point_covariance import sigma_shares
+from binocular_recon.stereo.rectification import frame_text
 
 
 class ResultFolder:
@@ -93,7 +94,7 @@ class ResultFolder:
         """Write all files of a frame or none; raises a FileError if they cannot be written."""
         index = len(self.frames)
         result = FrameResult(reconstruction, rig)
-        points = np.isfinite(reconstruction.cloud.points_xyz).all(axis=-1)
+        points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
         frame = {
             'index': index,
             'stamp_ns': stamp_ns,
@@ -158,6 +159,7 @@ class ResultFolder:
             summary['matched'] = self.matched
             summary['baseline_m'] = self._rig.baseline_m
             summary['focal_px'] = self._rig.focal_px
+            summary['frame'] = f'left rectified optical frame: {frame_text(self._rig.left)}'
             summary['sigma'] = sigma_shares(self._rig.covariance is not None)
             summary['depth_searched_m'] = [
                 depth if math.isfinite(depth) else None for depth in self._searched_m

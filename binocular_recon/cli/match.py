@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binocular_recon.cli.options import add_chain_options, chain_config, note
-from binocular_recon.config import ChainConfig, CloudConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ConfigError, ImageError
 
 if TYPE_CHECKING:

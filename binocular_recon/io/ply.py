@@ -32,6 +32,8 @@ def write_ply(
     cloud: Cloud,
     validity: npt.NDArray[np.uint8],
     bgr: npt.NDArray[np.uint8],
+    *,
+    frame: str = '',
 ) -> int:
     """Write the valid points of a cloud.
 
@@ -45,6 +47,8 @@ def write_ply(
         Bits of `Validity`.
     bgr : (H, W, 3) uint8
         Colour of the points.
+    frame : str
+        How the frame of the points lies to that of the camera, for a comment.
 
     Returns
     -------
@@ -67,12 +71,12 @@ def write_ply(
     for name, values in scalars.items():
         vertices[f'{_SCALAR}{name}'] = values[valid]
     with complete_file(path) as file:
-        file.write(_header(vertices, sigma_shares(cloud.calibrated)))
+        file.write(_header(vertices, sigma_shares(cloud.calibrated), frame))
         file.write(vertices.data)
     return len(vertices)
 
 
-def _header(vertices: npt.NDArray[np.void], shares: str) -> bytes:
+def _header(vertices: npt.NDArray[np.void], shares: str, frame: str) -> bytes:
     names = vertices.dtype.names or ()
     properties = [f'property {_PLY_TYPE[vertices.dtype[name].kind]} {name}' for name in names]
     sigmas = [name for name in names if name.startswith(f'{_SCALAR}sigma')]
@@ -80,6 +84,7 @@ def _header(vertices: npt.NDArray[np.void], shares: str) -> bytes:
         'ply',
         'format binary_little_endian 1.0',
         'comment left rectified optical frame: x right, y down, z forward, metres',
+        *([f'comment this frame is {frame}'] if frame else []),
         f'comment {", ".join(sigmas)}: one standard deviation, metres',
         f'comment standard deviations hold the share of {shares}',
         'comment scalar_validity: 1 measured, 2 filled between measured pixels',

@@ -18,9 +18,9 @@ from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.messages.disparities import fill_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
-from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.nodes.runtime.rectified_node import RectifiedNode
 from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
 from binocular_recon.stereo.matching import disparity_step_px, match
 from binocular_recon.stereo.orientation import turn, turn_back
@@ -30,7 +30,7 @@ from binocular_recon.stereo.search_range import range_of_depths
 from binocular_recon.stereo.validity import few_matched_warning
 
 
-class MatchNode(FrameNode):
+class MatchNode(RectifiedNode):
     """Match rectified image pairs; pixels without a match are invalid."""
 
     NAME = 'match_node'
@@ -40,7 +40,11 @@ class MatchNode(FrameNode):
         Input('left/camera_info', CameraInfo),
         Input('right/camera_info', CameraInfo),
     )
-    OUTPUTS = (Output('confidence', Image), Output('disparity', DisparityImage))
+    OUTPUTS = (
+        Output('confidence', Image),
+        Output('match_validity', Image),
+        Output('disparity', DisparityImage),
+    )
     LIVE = (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig)
 
     def __init__(self) -> None:
@@ -63,7 +67,7 @@ class MatchNode(FrameNode):
     ) -> None:
         """Publish the disparities of one pair."""
         images = read_image(left, 'left image').image, read_image(right, 'right image').image
-        rig = self.rig(left_info, right_info, images[0], rectified=True)
+        rig = self.rectified_rig(left_info, right_info, images[0])
         self._levels.config = self.options.of(ImageConfig)
         levels = self._levels.update(*images)
         greys, exposed = [], True
@@ -87,6 +91,10 @@ class MatchNode(FrameNode):
             confidence = Image()
             fill_image(confidence, matched.confidence, '32FC1', left.header)
             self.publish('confidence', confidence)
+        if self.wanted('match_validity'):
+            validity = Image()
+            fill_image(validity, matched.validity, 'mono8', left.header)
+            self.publish('match_validity', validity)
         if self.wanted('disparity'):
             disparity = DisparityImage()
             fill_disparity(

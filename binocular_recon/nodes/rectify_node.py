@@ -14,9 +14,15 @@ from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
-from binocular_recon.nodes.runtime.options import CalibrationOptions, InputOptions, RectifyOptions
+from binocular_recon.nodes.runtime.options import (
+    CalibrationOptions,
+    FrameOptions,
+    InputOptions,
+    RectifyOptions,
+)
 from binocular_recon.nodes.runtime.process import run_node
-from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.nodes.runtime.rectified_frames import RectifiedFrames
+from binocular_recon.stereo.rectification import Rectifier, frame_text
 
 _SIDES = ('left', 'right')
 _IMAGES = (
@@ -41,12 +47,13 @@ class RectifyNode(FrameNode):
         Output('right/image_rect', Image),
     )
     LIVE = (RectifyOptions,)
-    FIXED = (InputOptions, CalibrationOptions)
+    FIXED = (InputOptions, CalibrationOptions, FrameOptions)
 
     def __init__(self) -> None:
         super().__init__()
         self._current: tuple[StereoRig, RectifyOptions, Rectifier] | None = None
         self._fixed_rig: StereoRig | None = None
+        self._frames = RectifiedFrames(self, self.options.of(FrameOptions).frame_suffix)
         folder = self.options.of(CalibrationOptions).calibration
         if folder:
             self._fixed_rig = read_rig(Path(folder).expanduser())
@@ -63,7 +70,13 @@ class RectifyNode(FrameNode):
         rectifier = self._rectifier(rig)
         rectified = rectifier(*(image.image for image in images))
         cameras = rectifier.rig.left, rectifier.rig.right
-        headers = left.header, Header(stamp=left.header.stamp, frame_id=right.header.frame_id)
+        frames = left.header.frame_id, right.header.frame_id
+        # of two cameras with one frame the left one's holds: clouds are in it
+        raw_cameras = {frames[1]: rig.right, frames[0]: rig.left}
+        self._frames.update(raw_cameras, left.header.stamp)
+        headers = [
+            Header(stamp=left.header.stamp, frame_id=self._frames.name(frame)) for frame in frames
+        ]
         for side, camera, header in zip(_SIDES, cameras, headers, strict=True):
             if self.wanted(f'{side}/camera_info_rect'):
                 info = CameraInfo()
@@ -80,6 +93,7 @@ class RectifyNode(FrameNode):
         options = self.options.of(RectifyOptions)
         if self._current is None or self._current[0] is not rig or self._current[1] != options:
             self._current = rig, options, Rectifier(rig, options.alpha, options.interpolation)
+            self.health.state('left rectified frame', frame_text(rig.left))
         return self._current[2]
 
 

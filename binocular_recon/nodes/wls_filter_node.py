@@ -11,10 +11,11 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import PRESETS, ChainConfig, CloudConfig, FilterConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import PRESETS, ChainConfig, FilterConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.errors import ImageError
-from binocular_recon.images import FloatImage, mark_empty, to_bgr8, to_grey
+from binocular_recon.images import ByteImage, FloatImage, mark_empty, to_bgr8, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.inputs.levels import Levels, LevelTracker
 from binocular_recon.inputs.options import ImageConfig
@@ -24,24 +25,26 @@ from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.io.messages.disparities import DisparityMap, fill_disparity, read_disparity
 from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.runtime.endpoints import Input, Output
-from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import (
     CalibrationOptions,
     CloudMessageOptions,
     LateInputOptions,
     PresetOptions,
+    RectifiedInfoOptions,
 )
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.nodes.runtime.rectified_node import RectifiedNode
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered, filter_disparity
 from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.point_covariance import add_covariance, sigma_shares
 from binocular_recon.stereo.rectification import check_size
+from binocular_recon.stereo.thinning import PointSet, thin
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 
 _CLOUD_OUTPUTS = ('points2', 'depth', 'depth/camera_info')
 
 
-class WlsFilterNode(FrameNode):
+class WlsFilterNode(RectifiedNode):
     """Filter the disparities of match_node or stereo_image_proc and triangulate them."""
 
     NAME = 'wls_filter_node'
@@ -51,6 +54,7 @@ class WlsFilterNode(FrameNode):
         Input('right/camera_info', CameraInfo),
         Input('disparity', DisparityImage),
         Input('confidence', Image, optional=True),
+        Input('match_validity', Image, optional=True),
     )
     OUTPUTS = (
         Output('disparity_wls', DisparityImage),
@@ -61,7 +65,7 @@ class WlsFilterNode(FrameNode):
         Output('validity', Image),
     )
     LIVE = (PresetOptions, FilterConfig, CloudConfig, CloudMessageOptions, ImageConfig)
-    FIXED = (LateInputOptions, CalibrationOptions)
+    FIXED = (LateInputOptions, RectifiedInfoOptions, CalibrationOptions)
 
     def __init__(self) -> None:
         super().__init__()
@@ -91,10 +95,11 @@ class WlsFilterNode(FrameNode):
         right_info: CameraInfo,
         disparity: DisparityImage,
         confidence: Image | None,
+        reasons: Image | None,
     ) -> None:
         """Publish the outputs that somebody subscribes to."""
         image = read_image(left, 'left image').image
-        rig = self.rig(left_info, right_info, image, rectified=True)
+        rig = self.rectified_rig(left_info, right_info, image)
         measured = read_disparity(disparity, rig)
         for pixels, name in ((measured.disparity_px, 'disparity'), (image, 'left')):
             check_size(pixels, rig.left.size, name)
@@ -107,6 +112,7 @@ class WlsFilterNode(FrameNode):
             turn(_confidence(confidence, measured.disparity_px), rig.turns),
             guide,
             limits_px=measured.limits_px,
+            reasons=_reasons(reasons, rig),
         )
         filtered = turn_back(filtered, rig.turns)
         self.health.state('measured', f'{filtered.measured_share:.1%} of the pixels')
@@ -183,17 +189,20 @@ class WlsFilterNode(FrameNode):
             self.publish('depth', depth)
         if self.wanted('points2'):
             options = self.options.of(CloudMessageOptions)
-            points = PointCloud2()
+            colour = to_bgr8(*image) if options.use_color else None
+            points = PointSet(cloud, filtered.validity, colour)
+            kept, validity, colour = thin(points, self.options.of(CloudConfig))
+            message = PointCloud2()
             fill_cloud(
-                points,
-                cloud,
+                message,
+                kept,
                 left.header,
                 PointField,
-                colour=to_bgr8(*image) if options.use_color else None,
-                validity=filtered.validity if options.validity else None,
+                colour=colour,
+                validity=validity if options.validity else None,
                 padding=not options.avoid_point_cloud_padding,
             )
-            self.publish('points2', points)
+            self.publish('points2', message)
 
 
 def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
@@ -203,6 +212,17 @@ def _confidence(message: Image | None, disparity_px: FloatImage) -> FloatImage:
     if message.encoding != '32FC1':
         raise ImageError(f'confidence has encoding {message.encoding!r}; it must be 32FC1')
     return read_image(message, 'confidence').image
+
+
+def _reasons(message: Image | None, rig: StereoRig) -> ByteImage | None:
+    """Return why pixels have no match, turned like the pair; None without a message."""
+    if message is None:
+        return None
+    if message.encoding != 'mono8':
+        raise ImageError(f'match_validity has encoding {message.encoding!r}; it must be mono8')
+    validity = read_image(message, 'match_validity').image
+    check_size(validity, rig.left.size, 'match_validity')
+    return turn(validity, rig.turns)
 
 
 def main() -> int:

@@ -5,9 +5,9 @@
 `rectification` maps raw images onto common rows, `search_range` finds the disparities to search,
 `matching` measures them, `holes` fills pixels without a match, `filtering` denoises,
 `triangulation` computes metric points, `point_covariance` their covariance, also between points,
-from that of the calibration; `validity` tells measured from filled pixels, and
-`confidence` converts the standard deviation of a match to a number in [0, 1] and back. Exports
-the chain and its stages.
+from that of the calibration; `thinning` makes clouds smaller; `validity` tells measured from
+filled pixels, and `confidence` converts the standard deviation of a match to a number in [0, 1]
+and back. Exports the chain and its stages.
 """
 
 from typing import TYPE_CHECKING
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from binocular_recon.stereo.point_covariance import calibration_derivatives, joint_covariance
     from binocular_recon.stereo.rectification import Rectifier
     from binocular_recon.stereo.search_range import SearchRange
+    from binocular_recon.stereo.thinning import PointSet, thin
     from binocular_recon.stereo.triangulation import Cloud, triangulate
     from binocular_recon.stereo.validity import Validity
 
@@ -42,6 +43,7 @@ __all__ = [
     'DisparityFilter',
     'Filtered',
     'Match',
+    'PointSet',
     'Reconstruction',
     'Rectifier',
     'SearchRange',
@@ -54,6 +56,7 @@ __all__ = [
     'match',
     'register_matcher',
     'sigma_from_confidence',
+    'thin',
     'triangulate',
 ]
 

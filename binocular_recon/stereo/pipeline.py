@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import Image, mark_empty, to_grey
+from binocular_recon.images import Image, mark_empty, to_bgr8, to_grey
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
@@ -19,6 +21,7 @@ from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.orientation import turn, turn_back
 from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange, choose_range
+from binocular_recon.stereo.thinning import PointSet, thin
 from binocular_recon.stereo.triangulation import Cloud, triangulate
 
 # A given search range is checked on the first frame and then on every tenth.
@@ -45,6 +48,8 @@ class Reconstruction:
         Black and white of the left image.
     findings : Findings
         What is wrong with the pair, or with the last one of the stream that was examined.
+    thinning : CloudConfig
+        Which points files and messages hold.
 
     """
 
@@ -56,6 +61,13 @@ class Reconstruction:
     range: RangeChoice
     levels: Levels = EIGHT_BIT
     findings: Findings = NOTHING
+    thinning: CloudConfig = field(default_factory=CloudConfig)
+
+    @cached_property
+    def points(self) -> PointSet:
+        """The points of files, with their colour: by the options decimation and voxel_size."""
+        colour = to_bgr8(self.left, self.levels)
+        return thin(PointSet(self.cloud, self.filtered.validity, colour), self.thinning)
 
 
 class Chain:
@@ -133,6 +145,7 @@ class Chain:
             found.range,
             found.levels,
             found.findings,
+            self.config.cloud,
         )
 
     def search(self, disparities: SearchRange) -> None:

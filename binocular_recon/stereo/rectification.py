@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import cached_property
 
 import cv2
@@ -14,7 +15,7 @@ from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, ImageError
 from binocular_recon.images import Image
 from binocular_recon.inputs.camera_checks import check_image_size
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import fixed, significant
 
 Map = npt.NDArray[np.float32]
 
@@ -22,6 +23,8 @@ Map = npt.NDArray[np.float32]
 LARGEST_SIDE_PX = 32766
 # Largest element of R R^T - I accepted in a rotation: files may hold few digits.
 _ROTATION_TOLERANCE = 1e-3
+# A smaller angle between two frames moves no point by what matters, rad; 15 m is a depth of use.
+_NO_TURN, _FAR_M = 1e-6, 15
 # Points per side of the image in `_border_points`.
 _BORDER_SAMPLES = 65
 
@@ -157,6 +160,27 @@ class Rectifier:
         and twice as fast on grey images. OpenCV 4 rounds both to 1/32 px.
         """
         return rectification_maps(self._raw.left), rectification_maps(self._raw.right)
+
+
+def is_turned(camera: Camera) -> bool:
+    """Tell whether the rectified frame of a calibrated camera differs from the camera's."""
+    return _turn(camera) > _NO_TURN
+
+
+def frame_text(camera: Camera) -> str:
+    """Return how the rectified frame of a calibrated camera lies to the camera's, for a person."""
+    if not is_turned(camera):
+        return 'that of the camera: R is the identity'
+    turn = _turn(camera)
+    shift_mm = fixed(1000 * _FAR_M * math.tan(turn), 0)
+    return (
+        f"turned by {math.degrees(turn):.3f} deg against the camera's ({shift_mm} mm at"
+        f' {_FAR_M} m); x_rectified = R x_camera'
+    )
+
+
+def _turn(camera: Camera) -> float:
+    return float(np.linalg.norm(cv2.Rodrigues(camera.R)[0]))
 
 
 def _check_rotation(camera: Camera, side: str) -> None:

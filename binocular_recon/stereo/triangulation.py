@@ -9,7 +9,7 @@ import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import CloudConfig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo._triangulation_kernels import triangulate_rows

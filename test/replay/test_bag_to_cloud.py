@@ -153,3 +153,30 @@ def test_a_calibration_folder_replaces_that_of_the_bag(
     half, whole = (read_ply(folder / '000000.ply')['xyz'] for folder in (out, wall[1]))
     assert not (out / '000001.ply').exists()
     np.testing.assert_allclose(half, whole / 2, rtol=1e-4)
+
+
+def test_thinned_clouds_hold_fewer_points_on_the_same_surface(
+    wall: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Disparities, and so everything else, are those of the whole cloud."""
+    bag, whole = wall
+    words = ['reconstruct', str(bag), '--disparity-range', '48', '--max-frames', '1']
+    edge_m = 0.25
+    counts = {}
+    for name, options in (('rows', ['--decimation', '4']), ('cubes', ['--voxel-size', '0.25'])):
+        assert main([*words, '--output', str(tmp_path / name), *options]) == 0
+        vertices = read_ply(tmp_path / name / '000000.ply')
+        summary = json.loads((tmp_path / name / 'summary.json').read_text())
+        assert summary['frames'][0]['points'] == len(vertices)
+        assert 'turned by 2.807 deg against' in summary['frame']
+        counts[name] = len(vertices)
+        # the plane of the wall: f B / z = 20 + 16 (f x / z + cx) / WIDTH
+        x, _, z = vertices['xyz'].astype(float).T
+        true_z = (FOCAL_PX * BASELINE_M - 16 * FOCAL_PX * x / WIDTH) / (20 + 16 * 160.0 / WIDTH)
+        assert np.median(np.abs(z - true_z)) < 0.02
+        disparity = (tmp_path / name / '000000_disparity.pfm').read_bytes()
+        assert disparity == (whole / '000000_disparity.pfm').read_bytes()
+    every = read_ply(whole / '000000.ply')
+    cells = np.unique(np.floor(every['xyz'] / np.float64(edge_m)), axis=0)
+    assert counts['cubes'] == len(cells) < 0.1 * len(every)
+    assert counts['rows'] == pytest.approx(len(every) / 16, rel=0.05)

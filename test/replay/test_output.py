@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
-from binocular_recon.io.ply import write_ply
 from test.bag_tools import (
     stereo_records,
     write_bag,
@@ -41,10 +40,12 @@ def test_a_full_disk_keeps_the_finished_frames(
     assert reconstruct(bag, output) == 0
     old = (output / '000001.ply').read_bytes(), (output / '000002.ply').read_bytes()
 
-    def find_no_space(path: Path, *arguments: Any) -> int:
+    write = FRAME_FORMATS['cloud'].write
+
+    def find_no_space(path: Path, *arguments: Any) -> object:
         if path.name == '000001.ply':
             path.with_name(f'.{path.name}.{os.getpid()}.part').symlink_to('/dev/full')
-        return write_ply(path, *arguments)
+        return write(path, *arguments)
 
     cloud = FRAME_FORMATS['cloud']._replace(write=find_no_space)
     monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three nodes together, wired as the launch file wires them."""
+"""The nodes together, wired as the launch file wires them."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from binocular_recon.io.messages.images import stamp_ns
+from test.launch_tools import launched_nodes
 from test.system.conftest import StartNode
 from test.system.graph import Inbox, NodeProcess, wait_until
 from test.system.rig import SIDES, CameraPair, header, image_pair
@@ -20,15 +22,18 @@ OUTPUTS: dict[str, type[Any]] = {
     'right/image_rect': Image,
     'disparity': DisparityImage,
     'confidence': Image,
+    'match_validity': Image,
     'disparity_wls': DisparityImage,
     'points2': PointCloud2,
     'depth': Image,
     'depth/camera_info': CameraInfo,
     'disparity_color': Image,
+    'validity': Image,
 }
-RAW = [f'{side}/{topic}' for side in SIDES for topic in ('image_raw', 'camera_info')]
-RECTIFIED = [f'{side}/{topic}' for side in SIDES for topic in ('image_rect', 'camera_info_rect')]
-MEASURED = ['disparity', 'confidence', 'left/image_rect', *RECTIFIED[1::2]]
+# What cameras publish, those that rectify too.
+CAMERAS = [
+    f'{side}/{topic}' for side in SIDES for topic in ('image_raw', 'image_rect', 'camera_info')
+]
 
 
 def reliable(topics: list[str], depth: int = 0) -> dict[str, object]:
@@ -38,14 +43,20 @@ def reliable(topics: list[str], depth: int = 0) -> dict[str, object]:
     return parameters | ({f'{one}.depth': depth for one in prefixes} if depth else {})
 
 
-def start_chain(start_node: StartNode, **match_options: object) -> list[NodeProcess]:
-    """Start the chain, reliable from the cameras on."""
-    infos = {f'{side}/camera_info': f'{side}/camera_info_rect' for side in SIDES}
-    return [
-        start_node('rectify_node', **reliable(RAW)),
-        start_node('match_node', remaps=infos, **reliable(RECTIFIED), **match_options),
-        start_node('wls_filter_node', remaps=infos, **reliable(MEASURED)),
-    ]
+def start_chain(
+    start_node: StartNode, outer: dict[str, str] | None = None, /, **arguments: str
+) -> list[NodeProcess]:
+    """Start what the launch file starts with these arguments, reliable from the cameras on.
+
+    ``outer`` are remappings around the launch file: to each node they come before its own.
+    """
+    nodes = []
+    for node in launched_nodes(namespace='rig', **arguments):
+        remaps = {**dict(node.remappings), **(outer or {})}
+        cameras = [remaps.get(topic, topic) for topic in CAMERAS]
+        parameters = {**reliable(cameras), **node.parameters[-1]}
+        nodes.append(start_node(node.executable, remaps=remaps, **parameters))
+    return nodes
 
 
 def prime(cameras: CameraPair, inboxes: list[Inbox], frame: Any = None) -> None:
@@ -55,9 +66,10 @@ def prime(cameras: CameraPair, inboxes: list[Inbox], frame: Any = None) -> None:
     """
     images = image_pair(0) if frame is None else frame
     last_ns = stamp_ns(header(20_000))
+    indices = itertools.count(10_000)  # stamps that stand still are refused
 
     def all_came() -> bool:
-        cameras.send(10_000, images)
+        cameras.send(next(indices), images)
         return all(inbox.messages for inbox in inboxes)
 
     wait_until(all_came, 'every output', every_s=0.2)

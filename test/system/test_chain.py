@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Image, PointCloud2
 
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.drawing.colormap import heat_map
 from binocular_recon.images import to_bgr8
@@ -25,6 +26,9 @@ from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.matching import disparity_step_px
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
+from binocular_recon.stereo.thinning import PointSet, thin
+from binocular_recon.stereo.triangulation import Cloud
+from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 from test.bag_tools import PERIOD_NS, START_NS, Record
 from test.system.chain import OUTPUTS, prime, start_chain
@@ -77,7 +81,7 @@ Frame = tuple[dict[str, Any], Reconstruction, Chain]
 @pytest.fixture(scope='module')
 def frames(graph: Graph, start_node: StartNode) -> Iterator[list[Frame]]:
     """Send all frames and return, of each, the messages and what the offline chain makes."""
-    start_chain(start_node, **RANGE)
+    start_chain(start_node, **{name: str(value) for name, value in RANGE.items()})
     cameras = CameraPair(graph, raw_rig())
     topics = [(f'/rig/{topic}', kind) for topic, kind in OUTPUTS.items()]
     done = []
@@ -158,6 +162,21 @@ def test_every_filtered_disparity(frames: list[Frame]) -> None:
         assert (shifted > message.min_disparity).all() and (shifted < message.max_disparity).all()
 
 
+def test_validity_is_that_of_the_offline_chain(frames: list[Frame]) -> None:
+    """Also why a pixel was not measured, which the matcher knows and the filter publishes."""
+    seen = 0
+    for messages, expected, _ in frames:
+        for topic, validity in (
+            ('match_validity', expected.matched.validity),
+            ('validity', expected.filtered.validity),
+        ):
+            assert messages[topic].encoding == 'mono8'
+            np.testing.assert_array_equal(read_image(messages[topic]).image, validity)
+        seen |= int(np.bitwise_or.reduce(expected.filtered.validity, axis=None))
+    reasons = Validity.CONFLICT | Validity.AMBIGUOUS | Validity.NO_DATA
+    assert seen & reasons == reasons
+
+
 def test_messages_decode_by_the_published_definition(frames: list[Frame]) -> None:
     """Z = f T / d with the message's own numbers is the cloud's z, whatever the offset."""
     for (messages, _, _), (_, offset_px) in zip(frames, FRAMES, strict=True):
@@ -236,6 +255,37 @@ def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
             z = np.frombuffer(message.data, np.float32).reshape(-1, step // 4)[:, 2]
             assert 0.2 < np.isfinite(z).mean() < 0.95 and not message.is_dense
             assert np.nanmin(z) >= 2.5 and np.nanmax(z) <= 4.0
+
+
+@pytest.mark.usefixtures('frames')
+def test_thinned_clouds(graph: Graph) -> None:
+    """Those of the whole cloud; the depth image keeps its size."""
+    cameras = CameraPair(graph, raw_rig())
+    pair = image_pair(1)
+    chain = Chain(cameras.rig, CONFIG)
+    validity = chain(*pair).filtered.validity
+    points: tuple[str, type[Any]] = ('/rig/points2', PointCloud2)
+    limits = {'min_depth': 0.0, 'max_depth': 1e6, 'use_color': False}
+    with graph.listening(points, ('/rig/depth', Image)) as (clouds, depths):
+        found = []
+        for count, (decimation, voxel_size) in enumerate(((1, 0.0), (3, 0.0), (2, 0.1)), 1):
+            options = {'decimation': decimation, 'voxel_size': voxel_size}
+            assert graph.set_parameters('/rig/wls_filter_node', **options, **limits) == ''
+            cameras.send(len(FRAMES) + 10 + count, pair)
+            message, depth = clouds.wait(count)[-1], depths.wait(count)[-1]
+            assert (depth.height, depth.width) == validity.shape
+            values = np.frombuffer(message.data, np.float32)
+            values = values.reshape(message.height, message.width, 4)
+            found.append(values)
+            whole = Cloud(found[0][..., :3], found[0][..., 3:])
+            assert np.isfinite(whole.depth_m).mean() > 0.6
+            expected = thin(
+                PointSet(whole, validity),
+                CloudConfig(decimation=decimation, voxel_size=voxel_size),
+            ).cloud
+            np.testing.assert_array_equal(values[..., :3], expected.points_xyz)
+            np.testing.assert_array_equal(values[..., 3:], expected.sigma_m)
+    assert found[2].shape[0] == 1 and found[2].shape[1] < found[1].size
 
 
 def record(path: Path, count: int) -> Path:

@@ -74,6 +74,28 @@ def test_a_baseline_in_millimetres_is_said(graph: Graph, cameras: CameraPair) ->
     assert 'if it is in millimetres, divide P[0, 3] by 1000 (0.25 m)' in status.message
 
 
+def test_infos_of_raw_images_beside_those_of_rectified_ones_are_said(
+    graph: Graph, cameras: CameraPair
+) -> None:
+    """Nodes started one by one, without the parameter: P of the raw infos may have another f."""
+    rectified = graph.publisher('/rig/left/camera_info_rect', CameraInfo)
+    with graph.listening(DISPARITY) as (inbox,):
+        graph.wait_for_subscriber(*cameras.topics)
+        raw, index = raw_rig(), next(_index)
+        infos = {
+            f'{side}_info': info_message(camera, header(index, side))
+            for side, camera in (('left', raw.left), ('right', raw.right))
+        }
+        cameras.send(index, IMAGES, **infos)
+        status = graph.wait_for_status(MATCH, 'is that of raw images')
+        inbox.wait()
+    graph.do(lambda: graph.node.destroy_publisher(rectified))
+    assert status.level == status.WARN
+    assert '/rig/left/camera_info (f 200.00 px, baseline 0.2500 m)' in status.message
+    assert '/rig/left/camera_info_rect is published' in status.message
+    assert 'set camera_info to camera_info_rect in match_node and' in status.message
+
+
 def test_rows_that_are_off_are_said_with_the_number(graph: Graph, cameras: CameraPair) -> None:
     shift = np.array([[1, 0, 0], [0, 1, 1.0]], np.float32)
     lower = cv2.warpAffine(IMAGES[1], shift, IMAGES[1].shape[::-1])

@@ -9,17 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
+from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
 from binocular_recon.images import Image as ImageArray
 from binocular_recon.io.messages.disparities import fill_disparity, read_disparity
-from binocular_recon.io.messages.images import stamp_ns
+from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.filtering.wls_filter import filter_disparity
 from binocular_recon.stereo.matching import match
+from binocular_recon.stereo.orientation import turn
 from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.triangulation import triangulate
 from test import stereo_image_proc
 from test.system.chain import reliable
 from test.system.conftest import StartNode
@@ -42,8 +46,9 @@ KINDS: dict[str, type[Any]] = {
     'right/camera_info': CameraInfo,
     'disparity': DisparityImage,
     'confidence': Image,
+    'match_validity': Image,
 }
-REQUIRED = list(KINDS)[:4]
+REQUIRED, OPTIONAL = list(KINDS)[:4], list(KINDS)[4:]
 # images that wait for their disparities, at most; DDS holds them too, should the node be busy
 FRAMES = 36
 
@@ -162,7 +167,18 @@ def empty_image(index: int) -> CompressedImage:
     return CompressedImage(header=header(index), format='mono8; png compressed ')
 
 
+def of_another_rig(_: int) -> DisparityImage:
+    message = disparity()
+    message.f = 278.0
+    return message
+
+
 BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
+    'disparity of another rig': (
+        'disparity',
+        of_another_rig,
+        'disparity was made with f = 278, the camera infos say 200; use the camera infos of',
+    ),
     'disparity of another type': (
         'disparity',
         lambda _: disparity(encoding='16UC1', step=320),
@@ -193,6 +209,16 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
         empty_image,
         'left image is not an image (0 bytes)',
     ),
+    'validity of another type': (
+        'match_validity',
+        lambda i: image_message(MATCH.confidence, header(i), '32FC1'),
+        "match_validity has encoding '32FC1'; it must be mono8",
+    ),
+    'validity of another size': (
+        'match_validity',
+        lambda i: image_message(MATCH.validity[:60], header(i)),
+        'match_validity image is 160x60 px, its calibration is for 160x120',
+    ),
     'confidence of another type': (
         'confidence',
         lambda i: image_message(LEFT, header(i)),
@@ -207,7 +233,7 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
 
 
 def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> None:
-    """With confidence from now on, so this is the last test."""
+    """With confidence and reasons from now on, so only the last test comes after it."""
     expected = filter_disparity(
         MATCH.disparity_px,
         MATCH.confidence,
@@ -217,13 +243,15 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
     )
     with graph.listening(WLS) as (inbox,):
         matcher.wait_for_filter()
-        graph.publisher('/rig/confidence', Image)
-        graph.wait_for_subscriber('/rig/confidence')
+        for topic in OPTIONAL:
+            graph.publisher(f'/rig/{topic}', Image)
+            graph.wait_for_subscriber(f'/rig/{topic}')
         good = []
         for number, (name, (topic, make, text)) in enumerate(BAD.items()):
             for index in (200 + 2 * number, 201 + 2 * number):
                 frame = messages(index, LEFT, RECTIFY, disparity())
                 frame['confidence'] = image_message(MATCH.confidence, header(index), '32FC1')
+                frame['match_validity'] = image_message(MATCH.validity, header(index))
                 if index % 2 == 0:
                     frame[topic] = make(index)
                     frame[topic].header = header(index)
@@ -239,8 +267,66 @@ def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> 
         np.testing.assert_allclose(read.disparity_px, expected.disparity_px, atol=1e-3)
     assert status.level == status.ERROR
     values = {item.key: item.value for item in status.values}
-    assert values['dropped: bad input'] == str(len(BAD))
+    assert values['dropped: bad calibration'] == '1'  # f
+    assert values['dropped: bad input'] == str(len(BAD) - 1)
     assert 'Traceback' not in matcher.node.text()
+
+
+def standing(camera: Camera) -> Camera:
+    """Return the camera of the image turned clockwise."""
+    (fx, _, cx, tx), (_, fy, cy, _) = camera.P[:2]
+    P = np.array([[fy, 0, camera.height - 1 - cy, 0], [0, fx, cx, tx], [0, 0, 1, 0]])
+    return Camera(camera.height, camera.width, P[:, :3], np.zeros(5), np.eye(3), P)
+
+
+def test_cameras_one_above_the_other(graph: Graph, matcher: Matcher) -> None:
+    """The rig on its side: its cloud is that of the lying rig, turned about the optical axis."""
+    rig = StereoRig(standing(RECTIFY.rig.left), standing(RECTIFY.rig.right))
+    assert rig.turns == 1
+    image, raw = turn(LEFT, -1), turn(MATCH.disparity_px, -1)
+    message = DisparityImage()
+    fill_disparity(message, raw, rig, CONFIG.limits_px, header(900), step_px=1 / 64)
+    infos = [
+        info_message(camera, header(900, side))
+        for camera, side in zip((rig.left, rig.right), SIDES, strict=True)
+    ]
+    sent = [
+        compressed_message(image, header(900)),
+        *infos,
+        message,
+        image_message(turn(MATCH.confidence, -1), header(900), '32FC1'),
+        image_message(turn(MATCH.validity, -1), header(900)),
+    ]
+    outputs = ('/rig/points2', PointCloud2), ('/rig/validity', Image)
+    with graph.listening(WLS, *outputs) as (wls, clouds, validities):
+        matcher.wait_for_filter()
+        for topic in OPTIONAL:
+            graph.publisher(f'/rig/{topic}', Image)
+            graph.wait_for_subscriber(f'/rig/{topic}')
+        matcher.send(**dict(zip(KINDS, sent, strict=True)))
+        disparity_wls, cloud = wls.wait()[0], clouds.wait()[0]
+        validity = read_image(validities.wait()[0]).image
+    lying = filter_disparity(
+        MATCH.disparity_px,
+        MATCH.confidence,
+        grey(LEFT),
+        FilterConfig(),
+        limits_px=CONFIG.limits_px,
+        reasons=MATCH.validity,
+    )
+    np.testing.assert_array_equal(turn(validity, 1), lying.validity)
+    found = turn(read_disparity(disparity_wls, rig).disparity_px, 1)
+    np.testing.assert_allclose(found, lying.disparity_px, atol=1e-3)
+    expected = triangulate(
+        lying.disparity_px, lying.sigma_px, lying.validity, RECTIFY.rig, CloudConfig()
+    )
+    assert (cloud.height, cloud.width) == image.shape
+    xyz = np.frombuffer(cloud.data, np.float32).reshape(*image.shape, -1)[..., :3]
+    # the image's right is now its bottom, and its bottom its left
+    x, y, z = np.moveaxis(turn(np.ascontiguousarray(xyz), 1), -1, 0)
+    assert np.isfinite(z).mean() > 0.6
+    turned = np.stack([y, -x, z], axis=-1)
+    np.testing.assert_allclose(turned, expected.points_xyz, rtol=1e-3, atol=1e-4)
 
 
 def _holds(node: NodeProcess, text: str) -> bool:

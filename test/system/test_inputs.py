@@ -85,6 +85,7 @@ def test_compressed_images_with_different_stamps_and_a_calibration_folder(
     np.testing.assert_allclose(camera.P, rectify.rig.right.P)
     facts = {item.key: item.value for item in status.values}
     assert 'cx_left - cx_right 5.' in facts['calibration']
+    assert 'turned by 0.344 deg against' in facts['left rectified frame']
 
 
 def test_a_truncated_image_is_named_and_the_next_one_used(graph: Graph) -> None:

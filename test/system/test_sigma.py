@@ -9,7 +9,8 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 from stereo_msgs.msg import DisparityImage
 
-from binocular_recon.config import CloudConfig, FilterConfig, MatchConfig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.config import FilterConfig, MatchConfig
 from binocular_recon.images import mark_empty, to_grey
 from binocular_recon.io.calibration_yaml import read_rig, write_rig
 from binocular_recon.io.messages.disparities import fill_disparity

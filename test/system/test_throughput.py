@@ -30,7 +30,7 @@ Running = tuple[CameraPair, Inbox, Inbox]
 
 @pytest.fixture(scope='module')
 def running(graph: Graph, start_node: StartNode) -> Iterator[Running]:
-    start_chain(start_node, disparity_range=24)
+    start_chain(start_node, disparity_range='24')
     cameras = CameraPair(graph, raw_rig(0.0, *SIZE))
     topics = ('/rig/disparity_wls', DisparityImage), ('/rig/points2', PointCloud2)
     with graph.listening(*topics) as (disparities, clouds):

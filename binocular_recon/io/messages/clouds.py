@@ -34,7 +34,7 @@ def fill_cloud(
     validity: npt.NDArray[np.uint8] | None = None,
     padding: bool = True,
 ) -> None:
-    """Fill an organised PointCloud2.
+    """Fill a PointCloud2, organised like the cloud.
 
     Parameters
     ----------

@@ -141,7 +141,8 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
         if not np.isclose(stated, own, rtol=_ROUNDING):
             raise CalibrationError(
                 f'disparity was made with {name} = {stated:g}, the camera infos say {own:g};'
-                ' remap camera_info to that of the rectified images'
+                ' use the camera infos of the rectified images (parameter camera_info) in both'
+                ' nodes'
             )
     offset = rig.disparity_offset_px
     convention = _convention(values, low, high, offset)

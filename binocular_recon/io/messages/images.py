@@ -219,7 +219,8 @@ def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
     present = getattr(message, member)
     if isinstance(present, array.array):
         block = array.array(present.typecode)
-        block.frombytes(np.ascontiguousarray(values).data.cast('B'))
+        if values.size:
+            block.frombytes(np.ascontiguousarray(values).data.cast('B'))
         setattr(message, member, block)
     else:
         flat = np.ascontiguousarray(values).reshape(-1)

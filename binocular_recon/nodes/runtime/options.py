@@ -60,6 +60,23 @@ class LateInputOptions(InputOptions):
     )
 
 
+# Names of the camera infos of rectified images, beside their images: `rectify_node` publishes the
+# second; cameras that rectify, and image_pipeline's nodes, have the first.
+INFO_TOPICS = ('camera_info', 'camera_info_rect')
+
+
+@dataclass(frozen=True)
+class RectifiedInfoOptions(Options):
+    """Where the camera infos of rectified images come from."""
+
+    camera_info: str = option(
+        INFO_TOPICS[0],
+        'Which topics under left/ and right/ hold the camera infos of the rectified images;'
+        ' camera_info_rect: those of rectify_node, which remappings of camera_info do not reach',
+        choices=INFO_TOPICS,
+    )
+
+
 @dataclass(frozen=True)
 class PresetOptions(Options):
     """Which preset sets the options that are not set explicitly."""
@@ -94,6 +111,18 @@ class RectifyOptions(Options):
         super().__post_init__()
         if -1.0 < self.alpha < 0.0:
             raise ConfigError(f'alpha must be -1 or within 0..1, got {self.alpha:g}')
+
+
+@dataclass(frozen=True)
+class FrameOptions(Options):
+    """What frames of rectified images are called."""
+
+    frame_suffix: str = option(
+        '',
+        "Added to the cameras' frames for rectified images, and so for disparities and clouds;"
+        ' the transform is published on /tf_static; empty: rectified images keep the frames of'
+        ' the cameras, though R turns them',
+    )
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameFormat, FrameResult
 from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ConfigError, FileError
 from binocular_recon.images import FloatImage
@@ -66,6 +69,24 @@ def test_every_format_needs_parts_that_a_frame_has() -> None:
     frame = FrameResult(reconstruction(), RIG)
     for spec in FRAME_FORMATS.values():
         assert all(hasattr(frame, name) for name in spec.needs)
+
+
+def test_the_cloud_is_thinned_and_says_its_frame(tmp_path: Path) -> None:
+    turn = cv2.Rodrigues(np.deg2rad([0.0, 0.65, 0.0]))[0]
+    left, right = (dataclasses.replace(camera, R=turn) for camera in (RIG.left, RIG.right))
+    whole = reconstruction()
+    wall = dataclasses.replace(whole, thinning=CloudConfig(decimation=2))
+    results = ResultFolder(tmp_path, {})
+    results.add(0, StereoRig(left, right), wall, 0.5)
+    results.write_summary('default', ChainConfig(), finished=True)
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    text = "turned by 0.650 deg against the camera's (170 mm at 15 m); x_rectified = R x_camera"
+    assert summary['frame'] == f'left rectified optical frame: {text}'
+    header = (tmp_path / '000000.ply').read_bytes().partition(b'end_header')[0].decode()
+    assert f'comment this frame is {text}' in header
+    valid = np.isfinite(whole.cloud.depth_m)[::2, ::2]
+    assert summary['frames'][0]['points'] == valid.sum()
+    assert f'element vertex {valid.sum()}\n' in header
 
 
 def test_a_registered_format_is_written_and_removed_with_its_frame(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from binocular_recon.camera import FloatArray, StereoRig
-from binocular_recon.config import CloudConfig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.measurement.robust_fits import consensus_fit
 from binocular_recon.measurement.ruler import Ruler

@@ -14,7 +14,7 @@ import pytest
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.camera import StereoRig
-from binocular_recon.config import CloudConfig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.evaluation.paper.runs import simulated_marks
 from binocular_recon.evaluation.paper.sigmas import (
     BOARDS,

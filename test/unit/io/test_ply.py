@@ -19,9 +19,11 @@ def test_valid_points_only_with_colour_and_sigma(tmp_path: Path) -> None:
     bgr = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
     path = tmp_path / 'a.ply'
 
-    assert write_ply(path, Cloud(points, sigma[..., None]), validity, bgr) == 4
+    frame = 'turned by 0.650 deg'
+    assert write_ply(path, Cloud(points, sigma[..., None]), validity, bgr, frame=frame) == 4
 
     header, body = path.read_bytes().split(b'end_header\n')
+    assert b'\ncomment this frame is turned by 0.650 deg\n' in header
     lines = [line for line in header.decode().splitlines() if not line.startswith('comment')]
     assert lines == [
         'ply',

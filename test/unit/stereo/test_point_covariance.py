@@ -13,7 +13,7 @@ from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.metric_rectification import metric_rig
 from binocular_recon.camera import FloatArray, RigCovariance, StereoRig, parameter_names
-from binocular_recon.config import CloudConfig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.measurement.lengths import Length, length_between
 from binocular_recon.simulation.rig import RawRig, fisheye_rig, survey_rig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.config import CloudConfig
+from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ConfigError, ImageError
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
