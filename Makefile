@@ -8,7 +8,7 @@ RUN := .venv/bin/python
 PYTEST := $(RUN) -m pytest
 
 # The tests' matrices are small: threads of BLAS only wait for each other, twice the time.
-test unit units kernels jazzy jazzy-system colcon: export OPENBLAS_NUM_THREADS := 1
+test unit suites kernels jazzy colcon: export OPENBLAS_NUM_THREADS := 1
 
 # An environment finds the libraries of its own ROS, not of one that make was called from.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -16,8 +16,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .NOTPARALLEL:
-.PHONY: help runtime setup demo test lint format unit units kernels jazzy jazzy-environment \
-        jazzy-system colcon evaluate benchmark docs nodes-page site images maintainers lock dist clean \
+.PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
+        jazzy-environment colcon evaluate benchmark docs nodes-page site images maintainers lock dist clean \
         distclean
 
 help: ## this list
@@ -34,8 +34,7 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run.
-test: lint site units jazzy-system colcon ## everything that CI runs
-	$(PYTEST) --done test/unit
+test: lint site colcon suites ## everything that CI runs
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -57,10 +56,11 @@ kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m 'kernel and not large' -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
-jazzy jazzy-system:
+jazzy:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
 
-units: unit kernels
+suites: unit kernels
+	$(PYTEST) --done test/unit
 else
 jazzy-environment:
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
@@ -70,20 +70,23 @@ jazzy-environment:
 jazzy: jazzy-environment ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	.venv-jazzy/bin/python -m pytest test/unit test/system
 
-# Nodes wait most of the time: meanwhile kernels are interpreted.
-jazzy-system: setup jazzy-environment
-	@echo 'system tests with ROS 2 Jazzy; kernels against their naive twins, not compiled'
-	@$(MAKE) --no-print-directory kernels >.venv/kernels.log 2>&1 & kernels=$$!; \
-	.venv-jazzy/bin/python -m pytest -q test/system; status=$$?; \
-	test $$status != 5 || status=0; : 5 = there is none to run, without ROS; \
-	wait $$kernels || status=$$?; cat .venv/kernels.log; exit $$status
+# Nodes wait most of the time: their tests run while a core is busy with the others.
+suites: setup jazzy-environment
+	@$(MAKE) --no-print-directory node-suites >.venv/nodes.log 2>&1 & nodes=$$!; \
+	$(MAKE) --no-print-directory unit-suites; status=$$?; \
+	wait $$nodes || status=$$?; cat .venv/nodes.log; exit $$status
 
-# Both environments at once: each compiles its kernels and computes on one core most of the time.
-units: setup jazzy-environment
-	@echo 'unit tests with the newest and, but for the long ones, the oldest supported versions'
-	@.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long' >.venv-jazzy/unit.log 2>&1 & oldest=$$!; \
-	$(PYTEST) -q test/unit; status=$$?; \
-	wait $$oldest || status=$$?; cat .venv-jazzy/unit.log; exit $$status
+unit-suites:
+	@echo 'unit tests with the newest versions, then all but the long ones with the oldest'
+	$(PYTEST) -q test/unit
+	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
+	@$(MAKE) --no-print-directory kernels
+
+node-suites:
+	@echo 'system tests with ROS 2 Jazzy, then all but unit tests with Kilted'
+	.venv-jazzy/bin/python -m pytest -q test/system || \
+	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
+	$(PYTEST) --done test/unit
 endif
 
 colcon: setup ## build, install and test as a ROS workspace does

@@ -36,7 +36,7 @@ with warnings.catch_warnings():  # the parser that it imports uses what Python 3
 
 RELIABLE = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 # Far more than anything takes: it ends a test whose event never happens.
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 
 
 def wait_until(
@@ -97,7 +97,7 @@ class NodeProcess:
         if self.process.poll() is None:
             self.process.send_signal(number)
         try:
-            return self.process.wait(20)
+            return self.process.wait(TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
