@@ -1,34 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera files in the format of camera_calibration_parsers (ROS)."""
+"""Camera files in the format of camera_calibration_parsers (ROS), and rigs in any format."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.calibration_json import read_covariance
+from binocular_recon.io.calibrations.formats.ros import camera_values
+from binocular_recon.io.calibrations.registry import formats_text, read_calibration
+from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.files import complete_file
-
-# K, D, R and P
-_MATRICES = (
-    'camera_matrix',
-    'distortion_coefficients',
-    'rectification_matrix',
-    'projection_matrix',
-)
 
 # Subfolder that holds a new calibration until all its files have been moved to their places.
 PENDING = '.calibration.new'
 
 
 def read_camera(path: Path, *, rectified: bool = False) -> Camera:
-    """Read a camera file; ``rectified`` as for `camera_of_image`.
+    """Read a camera file, also in OpenCV's notation; ``rectified`` as for `camera_of_image`.
 
     Raises
     ------
@@ -39,41 +33,54 @@ def read_camera(path: Path, *, rectified: bool = False) -> Camera:
         path.
 
     """
+    values = camera_values(SourceFile(path).content, path)
     try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or error
-        raise FileError(f'{path} cannot be read: {reason}; give a camera file') from error
-    except yaml.YAMLError as error:
-        raise CalibrationError(f'{path} is not a camera file: {error}') from error
-    try:
-        # PyYAML reads numbers such as 1e-05 as text
-        K, D, R, P = (np.array(content[name]['data'], np.float64) for name in _MATRICES)
-        size = int(content['image_width']), int(content['image_height'])
-        model = str(content.get('distortion_model') or '')
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(
-            f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r}'
-        ) from error
-    try:
-        return camera_of_image(size, K, D, R, P, model, rectified=rectified)
+        return camera_of_image(*values, rectified=rectified)
     except CalibrationError as error:
         raise CalibrationError(f'{path}: {error}') from error
 
 
-def read_rig(folder: str | Path, *, rectified: bool = False) -> StereoRig:
-    """Read ``left.yaml``, ``right.yaml`` and, if it is there, ``calibration.json`` of ``folder``.
+def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
+    """Read the calibration of a rig: a folder that `write_rig` wrote, or of another program.
 
-    If saving a calibration was interrupted, its new files are read where they are. Of rectified
-    images only P counts. Errors as in `read_camera` and `read_covariance`.
+    Parameters
+    ----------
+    path : str or Path
+        Folder with ``left.yaml``, ``right.yaml`` and, if it is there, ``calibration.json``; or a
+        file or folder in another format (`calibrations.FORMATS`). If saving a calibration was
+        interrupted, its new files are read where they are.
+    rectified : bool
+        Whether the images are rectified; only P counts then.
+
+    Raises
+    ------
+    FileError
+        If a file is missing or cannot be read.
+    CalibrationError
+        If the files are not those of a rig.
+
     """
-    paths = [_newest(Path(folder), f'{side}.yaml') for side in ('left', 'right')]
+    folder = Path(path)
+    paths = [_newest(folder, f'{side}.yaml') for side in ('left', 'right')]
+    if not any(one.exists() for one in paths):
+        return _foreign_rig(folder, rectified=rectified)
     cameras = [read_camera(path, rectified=rectified) for path in paths]
-    json = _newest(Path(folder), 'calibration.json')
+    json = _newest(folder, 'calibration.json')
     if any(camera.notices for camera in cameras) and rectified:  # K or D cannot be used
         return StereoRig(*cameras)
     covariance = read_covariance(json, *(read_camera(path) for path in paths))
     return StereoRig(*cameras, covariance=covariance)
+
+
+def _foreign_rig(path: Path, *, rectified: bool) -> StereoRig:
+    if not path.exists():
+        raise FileError(f'{path} cannot be read: No such file or directory; give a calibration')
+    if path.is_dir() and not any(path.iterdir()):
+        raise FileError(
+            f'{path / "left.yaml"} cannot be read: No such file or directory; give a folder with'
+            f' left.yaml and right.yaml, or a calibration of another program: {formats_text()}'
+        )
+    return read_calibration([path], rectified=rectified).rig
 
 
 def _newest(folder: Path, name: str) -> Path:

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera files of ROS (camera_calibration_parsers), one per camera, also in OpenCV's notation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.camera_checks import known_lens
+from binocular_recon.io.calibrations.format import CalibrationFormat
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.source import SourceFile
+from binocular_recon.io.calibrations.values import numbers, side_of
+
+# K, D, R and P
+_MATRICES = (
+    'camera_matrix',
+    'distortion_coefficients',
+    'rectification_matrix',
+    'projection_matrix',
+)
+
+
+class RosFormat(CalibrationFormat):
+    """One file per camera; the pose is that of R and P."""
+
+    NAME = 'ROS camera info'
+    FILES = 'left.yaml, right.yaml'
+
+    def claims(self, file: SourceFile) -> bool:
+        """Return whether a file has the matrices of a camera info."""
+        return isinstance(file.content, dict) and set(_MATRICES) <= set(file.content)
+
+    def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
+        """Read the cameras; each has the name of its file."""
+        del choice
+        cameras = [_camera(file) for file in files]
+        paths = tuple(file.path for file in files)
+        return RawRig(self.NAME, paths, cameras, 'calibrate the cameras together as a rig')
+
+
+def camera_values(
+    content: Any, path: Path
+) -> tuple[tuple[int, int], FloatArray, FloatArray, FloatArray, FloatArray, str]:
+    """Return size, K, D, R, P and distortion model of a camera file's content.
+
+    Raises
+    ------
+    CalibrationError
+        If one is missing or has other values than numbers; the message begins with the path.
+
+    """
+    try:
+        data = [content[name]['data'] for name in _MATRICES]
+        size = int(content['image_width']), int(content['image_height'])
+        model = str(content.get('distortion_model') or '')
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise CalibrationError(
+            f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r};'
+            ' write it again with the calibration'
+        ) from error
+    K, D, R, P = (
+        numbers(values, f'{path} is not a camera file: {name}')
+        for name, values in zip(_MATRICES, data, strict=True)
+    )
+    return size, K, D, R, P, model
+
+
+def _camera(file: SourceFile) -> RawCamera:
+    size, K, D, R, P, model = camera_values(file.content, file.path)
+    where = str(file.path)
+    try:
+        lens, D, _ = known_lens(model, D)
+    except CalibrationError as error:
+        raise CalibrationError(f'{where}: {error}') from error
+    for name, values, count in (('K', K, 9), ('R', R, 9), ('P', P, 12)):
+        if values.size != count:
+            raise CalibrationError(
+                f'{where}: {name} must have {count} values, got {values.size}; check the file'
+            )
+    return RawCamera(
+        file.path.stem,
+        where,
+        size,
+        K.reshape(3, 3),
+        D,
+        lens,
+        side=side_of(file.path.stem) or side_of(str(file.content.get('camera_name', ''))),
+        R=R.reshape(3, 3),
+        P=P.reshape(3, 4),
+    )

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras and poses as another program states them, in the conventions of this package."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from binocular_recon.camera import Camera, FloatArray
+from binocular_recon.errors import CalibrationError
+from binocular_recon.io.calibrations.values import inverse, pose_of
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the user states where a file leaves it open.
+
+    Attributes
+    ----------
+    cameras : (str, str), optional
+        Names of the two cameras, of those in the file.
+    image_size : (int, int), optional
+        Width and height, px, where the file has none.
+    baseline_m : float, optional
+        Distance of the cameras; replaces the unit of the file.
+
+    """
+
+    cameras: tuple[str, str] | None = None
+    image_size: tuple[int, int] | None = None
+    baseline_m: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RawCamera:
+    """One camera as calibrated.
+
+    Attributes
+    ----------
+    name : str
+        What the file calls it.
+    where : str
+        File and name, for errors.
+    size : (int, int) or None
+        Width and height of the image, px; None if the file does not state it.
+    K : (3, 3) float64
+        Intrinsics, px; the centre of the first pixel is (0, 0).
+    D : (n,) float64
+        Distortion coefficients.
+    lens : str
+        A key of `LENSES`.
+    pose : (4, 4) float64 or None
+        From a frame that all cameras share to this one: x right, y down, z forward.
+    side : str
+        ``'left'`` or ``'right'`` if a name says so.
+    R, P : (3, 3) and (3, 4) float64, optional
+        Rectification, if the file states it.
+
+    """
+
+    name: str
+    where: str
+    size: tuple[int, int] | None
+    K: FloatArray
+    D: FloatArray
+    lens: str = 'plumb_bob'
+    pose: FloatArray | None = None
+    side: str = ''
+    R: FloatArray | None = None
+    P: FloatArray | None = None
+
+    def camera(
+        self,
+        size: tuple[int, int],
+        R: FloatArray | None = None,
+        P: FloatArray | None = None,
+        notices: tuple[str, ...] = (),
+    ) -> Camera:
+        """Return the camera, checked; not rectified without R and P.
+
+        Raises
+        ------
+        CalibrationError
+            If its values are not those of a camera; the message begins with `where`.
+
+        """
+        R = np.eye(3) if R is None else R
+        P = (
+            np.column_stack([self.K * [[1, 0, 1], [1, 1, 1], [1, 1, 1]], np.zeros(3)])
+            if (P is None)
+            else P
+        )
+        try:
+            return Camera(*size, self.K, self.D, R, P, self.lens, notices)
+        except CalibrationError as error:
+            raise CalibrationError(f'{self.where}: {error}') from error
+
+    def rectified_pose(self) -> FloatArray | None:
+        """Return the pose that R and P state, from the rectified frame; None without them."""
+        if self.R is None or self.P is None:
+            return None
+        shift = np.linalg.solve(self.P[:, :3], self.P[:, 3])
+        return pose_of(self.R.T, self.R.T @ shift)
+
+
+@dataclass(frozen=True, eq=False)
+class RawRig:
+    """The cameras of a calibration.
+
+    Attributes
+    ----------
+    format : str
+        Name of the format.
+    files : tuple of Path
+        Files that were read.
+    cameras : sequence of RawCamera
+        In the order of the file.
+    no_pose : str
+        What to do if a camera has no pose.
+    unit_m : float
+        Unit of the poses, m.
+    notices : tuple of str
+        What the user should know, a sentence each.
+
+    """
+
+    format: str
+    files: tuple[Path, ...]
+    cameras: Sequence[RawCamera]
+    no_pose: str
+    unit_m: float = 1.0
+    notices: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """Files, for messages."""
+        first, *others = self.files
+        beside = [
+            str(path.relative_to(first.parent)) if path.is_relative_to(first.parent) else str(path)
+            for path in others
+        ]
+        return ' and '.join([str(first), *beside])
+
+    def pair(self, names: tuple[str, str] | None) -> tuple[RawCamera, RawCamera]:
+        """Return the cameras with these names, the first two without.
+
+        Raises
+        ------
+        CalibrationError
+            If there are fewer than two, or no cameras with these names.
+
+        """
+        known = {camera.name: camera for camera in self.cameras}
+        listed = ', '.join(list(known)[:12]) + (', ...' if len(known) > 12 else '')
+        if len(self.cameras) < 2:
+            only = f'one camera only ({listed})' if known else 'no camera'
+            raise CalibrationError(
+                f'{self.where} holds {only} ({self.format}); a rig needs both cameras and their'
+                f' pose: {self.no_pose}'
+            )
+        if names is None:
+            return self.cameras[0], self.cameras[1]
+        for name in names:
+            if name not in known:
+                raise CalibrationError(
+                    f'{self.where} has no camera {name!r}, only {listed}; choose two of them'
+                )
+        if names[0] == names[1]:
+            raise CalibrationError(f'camera {names[0]!r} is chosen twice; choose two of {listed}')
+        return known[names[0]], known[names[1]]
+
+
+def relative_pose(first: RawCamera, second: RawCamera, no_pose: str) -> FloatArray:
+    """Return the transformation (4, 4) from the first camera's frame to that of the second one.
+
+    Raises
+    ------
+    CalibrationError
+        If a camera has no pose.
+
+    """
+    poses = []
+    for camera in (first, second):
+        pose = camera.rectified_pose() if camera.pose is None else camera.pose
+        if pose is None:
+            raise CalibrationError(
+                f'{camera.where}: the pose of camera {camera.name} is missing, so the baseline is'
+                f' not known; {no_pose}'
+            )
+        poses.append(pose)
+    return poses[1] @ inverse(poses[0])
