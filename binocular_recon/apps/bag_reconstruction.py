@@ -57,7 +57,7 @@ class BagInput:
     rectified : bool, optional
         Whether ``images`` are rectified; by default as `is_rectified` says.
     calibration : Path, optional
-        Folder with left.yaml and right.yaml that replace the recorded camera infos.
+        Calibration that replaces the recorded camera infos, as `read_rig` reads it.
     alpha : float
         Passed to `Rectifier`.
     tolerance_ns : int

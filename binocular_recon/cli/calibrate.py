@@ -21,7 +21,7 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
-from binocular_recon.cli.options import add_output_option, positive
+from binocular_recon.cli.options import add_output_option, image_size, positive
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.files import make_folder, write_json
@@ -181,18 +181,8 @@ def _read_points(args: argparse.Namespace) -> _Marks:
             'image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size)
         )
     else:
-        size = _size(args.image_size)
+        size = image_size(args.image_size)
     return _Marks(table.captures, table.target, size)
-
-
-def _size(text: str) -> tuple[int, int]:
-    try:
-        width, height = (int(number) for number in text.split('x'))
-    except ValueError:
-        width = height = 0
-    if min(width, height) < 1:
-        raise ConfigError(f'--image-size must be WxH such as 1920x1200, got {text!r}')
-    return width, height
 
 
 def _timed(job: Callable[[], _Result]) -> tuple[_Result, float]:

@@ -25,6 +25,7 @@ COMMANDS = {
     'match': 'compute the dense disparity of one rectified pair of image files',
     'play': 'publish a bag on ROS 2 topics',
     'calibrate': 'calibrate a stereo rig from images of rods or points of a flat target',
+    'import-calibration': "read another program's calibration: OpenCV, Kalibr, mrcal and others",
     'simulate': 'simulate images of rods, or a survey scene as a bag, with ground truth',
     'paper': 'repeat the paper on simulated sites: its Tables 1, 2 and 3 beside ours',
     'evaluate': "measure accuracy on scenes with ground truth, against OpenCV's matchers",

@@ -158,6 +158,17 @@ def positive(kind: type[int | float]) -> Callable[[str], float]:
     return convert
 
 
+def image_size(text: str) -> tuple[int, int]:
+    """Return width and height, px, of ``--image-size``; raises a ConfigError if it has none."""
+    try:
+        width, height = (int(number) for number in text.split('x'))
+    except ValueError:
+        width = height = 0
+    if min(width, height) < 1:
+        raise ConfigError(f'--image-size must be WxH such as 1920x1200, got {text!r}')
+    return width, height
+
+
 def non_negative(text: str) -> int:
     """Convert an argument that is a whole number and not negative, such as a seed."""
     value = int(text)

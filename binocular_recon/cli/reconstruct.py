@@ -86,8 +86,9 @@ def _add_input_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--calibration',
         type=Path,
-        metavar='DIR',
-        help='folder with left.yaml and right.yaml that replace the camera_info of the bag',
+        metavar='PATH',
+        help='folder with left.yaml and right.yaml that replace the camera_info of the bag; or the'
+        ' calibration of another program (see import-calibration)',
     )
     group.add_argument(
         '--alpha',

@@ -85,8 +85,10 @@ def _foreign_rig(path: Path, *, rectified: bool) -> StereoRig:
 
 def _newest(folder: Path, name: str) -> Path:
     """Return where a file of the newest calibration is."""
-    pending = folder / PENDING / name
-    return pending if pending.exists() else folder / name
+    pending = folder / PENDING
+    # left.yaml is the first to take its place
+    newer = (pending / 'left.yaml').exists() or (pending / name).exists()
+    return pending / name if newer else folder / name
 
 
 def write_camera(path: Path, camera: Camera, name: str) -> None:

@@ -8,11 +8,13 @@ before are in ``previous/``.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from binocular_recon.calibration.report.report import render_report
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.session.board_images import draw_boards
+from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import PENDING, write_rig
 from binocular_recon.io.files import complete_file, flush, make_folder, write_json
@@ -56,17 +58,40 @@ def save_calibration(
         If the files cannot be written.
 
     """
+
+    def write(partial: Path) -> None:
+        write_rig(partial, result.rig, names)
+        write_json(partial / 'calibration.json', result.to_mapping())
+        with complete_file(partial / 'report.html') as file:
+            images = draw_boards(result, captures) if captures else ()
+            file.write(render_report(result, images).encode())
+
+    _replace(folder, write)
+    return tuple(folder / name for name in FILES)
+
+
+def save_rig(rig: StereoRig, folder: Path) -> tuple[Path, ...]:
+    """Write a rig that was calibrated elsewhere, as `save_calibration` does: the camera files.
+
+    Raises
+    ------
+    FileError
+        If the files cannot be written.
+
+    """
+    _replace(folder, lambda partial: write_rig(partial, rig))
+    return folder / 'left.yaml', folder / 'right.yaml'
+
+
+def _replace(folder: Path, write: Callable[[Path], None]) -> None:
+    """Replace the calibration of a folder by the files that ``write`` writes to another one."""
     make_folder(folder)
     finish_saving(folder)
     partial = folder / _PARTIAL
     try:
         shutil.rmtree(partial, ignore_errors=True)
         make_folder(partial)
-        write_rig(partial, result.rig, names)
-        write_json(partial / 'calibration.json', result.to_mapping())
-        with complete_file(partial / 'report.html') as file:
-            images = draw_boards(result, captures) if captures else ()
-            file.write(render_report(result, images).encode())
+        write(partial)
         for path in partial.iterdir():
             flush(path)
         flush(partial)
@@ -74,7 +99,6 @@ def save_calibration(
     except OSError as error:
         raise _failure(folder, error) from error
     finish_saving(folder)
-    return tuple(folder / name for name in FILES)
 
 
 def finish_saving(folder: Path) -> None:
@@ -93,6 +117,11 @@ def finish_saving(folder: Path) -> None:
         return
     previous = folder / PREVIOUS
     try:
+        if (complete / FILES[0]).exists():  # so none has taken its place yet
+            for name in FILES:
+                if (folder / name).exists() and not (complete / name).exists():
+                    previous.mkdir(exist_ok=True)
+                    (folder / name).replace(previous / name)
         for name in FILES:
             # a file that has taken its place before the interruption is no longer here
             if (complete / name).exists():

@@ -88,10 +88,11 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
         )
     notices = (f'is {left.name} of {raw.where} ({raw.format}); {why}', *raw.notices)
     if len(raw.cameras) > 2 and choice.cameras is None:
-        notices += (
+        others = (
             f'{len(raw.cameras)} cameras are stated, {first.name} and {second.name} are taken;'
-            ' import-calibration --cameras chooses others',
+            ' import-calibration --cameras chooses others'
         )
+        notices = (*notices, others)
     pair = [
         camera_of_image(
             camera.size, camera.K, camera.D, R, P, camera.distortion_model,

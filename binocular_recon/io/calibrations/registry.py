@@ -36,6 +36,7 @@ FORMATS: tuple[CalibrationFormat, ...] = (
 _ENDINGS = ('.yaml', '.yml', '.json', '.xml', '.txt', '.bin', '.mat', '.cameramodel', '.gz')
 _DEEPER = ('*/sensor.yaml', 'mav0/*/sensor.yaml')
 _MOST_FILES = 500
+_OURS = 'calibration.json'  # beside left.yaml, of this package
 
 
 def read_calibration(
@@ -108,7 +109,8 @@ def _files(path: Path) -> Sequence[Path]:
         raise FileError(
             f'{path} cannot be read: {error.strerror or error}; give a folder with a calibration'
         ) from error
-    return [one for one in files if one.is_file() and not one.name.startswith('.')][:_MOST_FILES]
+    files = [one for one in files if not one.name.startswith('.') and one.name != _OURS]
+    return [one for one in files if one.is_file()][:_MOST_FILES]
 
 
 def _claims(

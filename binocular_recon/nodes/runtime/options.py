@@ -132,7 +132,8 @@ class CalibrationOptions(Options):
     calibration: str = option(
         '',
         "Folder with left.yaml and right.yaml to use instead of the cameras' own camera infos,"
-        ' and calibration.json with their covariance for sigma; empty: use the camera infos',
+        ' and calibration.json with their covariance for sigma; or the calibration of another'
+        ' program; empty: use the camera infos',
     )
 
 
@@ -184,6 +185,7 @@ class RodOptions(Options):
     right_camera_name: str = option('right', 'Name of the right camera in its calibration file')
     calibration: str = option(
         '',
-        'Folder with left.yaml and right.yaml; capture then reports by how many rows the marks'
-        ' differ after rectification with it. Empty: it does not',
+        'Folder with left.yaml and right.yaml, or the calibration of another program; capture'
+        ' then reports by how many rows the marks differ after rectification with it. Empty: it'
+        ' does not',
     )
