@@ -14,7 +14,7 @@ from binocular_recon.errors import CalibrationError
 from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.calibrations.pair_rectification import Rectification, rectify_pair
 from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, relative_pose
-from binocular_recon.io.calibrations.values import inverse, turn_of
+from binocular_recon.io.calibrations.values import inverse
 from binocular_recon.number_text import significant
 
 # Cameras that differ more do not see the same; the optical axis may come this close to the
@@ -154,22 +154,11 @@ def _check_pose(pose: FloatArray, first: RawCamera, second: RawCamera, raw: RawR
 
 def _stated(first: RawCamera, second: RawCamera, raw: RawRig) -> Rectification | None:
     """Return the rectification that the file states, None if it does not."""
-    if first.R is None or first.P is None or second.R is None or second.P is None:
+    one, other = first.rectification(), second.rectification()
+    if one is None or other is None:
         return None
-    turns = [
-        turn_of(R.tolist(), f'{one.where}: R') for one, R in ((first, first.R), (second, second.R))
-    ]
-    for camera, P in ((first, first.P), (second, second.P)):
-        if not (P[0, 0] > 0 and P[1, 1] > 0 and np.abs(P[2, :3] - [0, 0, 1]).max() < 1e-6):
-            raise CalibrationError(
-                f'{camera.where}: P is not that of a rectified camera (fx = {P[0, 0]:g}, fy ='
-                f' {P[1, 1]:g} px, last row {P[2, 0]:g} {P[2, 1]:g} {P[2, 2]:g}); calibrate as a'
-                ' stereo rig'
-            )
-    P_left, P_right = first.P.copy(), second.P.copy()
-    P_left[:, 3] *= raw.unit_m
-    P_right[:, 3] *= raw.unit_m
-    return Rectification(turns[0], P_left, turns[1], P_right, stated=True)
+    scale = np.array([1, 1, 1, raw.unit_m])
+    return Rectification(one[0], one[1] * scale, other[0], other[1] * scale, stated=True)
 
 
 def _check_agreement(stated: Rectification, pose: FloatArray, raw: RawRig) -> None:

@@ -11,7 +11,10 @@ import numpy as np
 
 from binocular_recon.camera import Camera, FloatArray
 from binocular_recon.errors import CalibrationError
-from binocular_recon.io.calibrations.values import inverse, pose_of
+from binocular_recon.io.calibrations.values import inverse, pose_of, turn_of
+
+# Of cameras with any lens, px.
+LEAST_FOCAL_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,12 @@ class RawCamera:
             If its values are not those of a camera; the message begins with `where`.
 
         """
+        if 0 < min(self.K[0, 0], self.K[1, 1]) < LEAST_FOCAL_PX:
+            raise CalibrationError(
+                f'{self.where}: the focal lengths are {self.K[0, 0]:g} and {self.K[1, 1]:g}, below'
+                f' {LEAST_FOCAL_PX:g} px; state them in pixels, not as a share of the image or in'
+                ' millimetres'
+            )
         R = np.eye(3) if R is None else R
         P = (
             np.column_stack([self.K * [[1, 0, 1], [1, 1, 1], [1, 1, 1]], np.zeros(3)])
@@ -98,12 +107,33 @@ class RawCamera:
         except CalibrationError as error:
             raise CalibrationError(f'{self.where}: {error}') from error
 
-    def rectified_pose(self) -> FloatArray | None:
-        """Return the pose that R and P state, from the rectified frame; None without them."""
+    def rectification(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return R (3, 3) and P (3, 4), checked; None unless the file states both.
+
+        Raises
+        ------
+        CalibrationError
+            If they are not those of a rectified camera.
+
+        """
         if self.R is None or self.P is None:
             return None
-        shift = np.linalg.solve(self.P[:, :3], self.P[:, 3])
-        return pose_of(self.R.T, self.R.T @ shift)
+        R = turn_of(self.R.tolist(), f'{self.where}: R')
+        self.camera(self.size or (1, 1), R, self.P)
+        if min(self.P[0, 0], self.P[1, 1]) < LEAST_FOCAL_PX:
+            raise CalibrationError(
+                f'{self.where}: the focal lengths of P are {self.P[0, 0]:g} and {self.P[1, 1]:g},'
+                f' below {LEAST_FOCAL_PX:g} px; calibrate as a stereo rig'
+            )
+        return R, self.P
+
+    def rectified_pose(self) -> FloatArray | None:
+        """Return the pose that R and P state, from the rectified frame; None without them."""
+        found = self.rectification()
+        if found is None:
+            return None
+        R, P = found
+        return pose_of(R.T, R.T @ np.linalg.solve(P[:, :3], P[:, 3]))
 
 
 @dataclass(frozen=True, eq=False)

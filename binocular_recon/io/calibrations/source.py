@@ -20,14 +20,14 @@ from binocular_recon.errors import CalibrationError, FileError
 
 # Calibrations have a few kilobytes. YAML takes seconds per megabyte; mrcal and MATLAB may add the
 # observations that a calibration was made from.
-MOST_YAML_BYTES, MOST_BYTES = 1 << 20, 64 << 20
-# A YAML document may repeat parts by aliases; so many values with all of them written out.
+MOST_YAML_BYTES, MOST_BYTES = 512 << 10, 64 << 20
+# In any format; in YAML with all aliases written out.
 MOST_NODES = 1_000_000
 _GZIP = b'\x1f\x8b'
 _BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
 
 
-class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
+class _Loader(yaml.SafeLoader):  # the C loader ends the process on deeply nested files
     """Reads plain values, and OpenCV's matrices as mappings."""
 
 
@@ -119,9 +119,10 @@ class SourceFile:
             self._bounded(self.data, MOST_YAML_BYTES)
             kind, parse = 'YAML', _yaml
         try:
+            _check_parts(self.text)
             return parse(self.text)
         except (yaml.YAMLError, ET.ParseError, SyntaxError, MemoryError) as error:
-            reason = ' '.join(str(error).split())
+            reason = ' '.join(str(error).split()) or 'its values are nested too deeply'
         except RecursionError:
             reason = 'its values are nested too deeply'
         except _BROKEN as error:
@@ -134,7 +135,7 @@ class SourceFile:
     def _bounded(self, data: bytes, limit: int) -> bytes:
         if len(data) > limit:
             raise FileError(
-                f'{self.path} cannot be read: it has more than {limit >> 20} MB, more than a'
+                f'{self.path} cannot be read: it has more than {limit >> 10} kB, more than a'
                 ' calibration; give the file of the calibration alone'
             )
         return data
@@ -143,6 +144,12 @@ class SourceFile:
 def _unreadable(path: Path, error: Exception) -> FileError:
     reason = getattr(error, 'strerror', None) or error
     return FileError(f'{path} cannot be read: {reason}; give a camera file')
+
+
+def _check_parts(text: str) -> None:
+    """Raise a ValueError if a text has so many parts that parsing it would take all memory."""
+    if sum(text.count(mark) for mark in '<,[{(') > MOST_NODES:
+        raise ValueError(f'it has more than {MOST_NODES} values')
 
 
 def _yaml(text: str) -> Any:

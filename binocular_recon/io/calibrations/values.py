@@ -16,6 +16,8 @@ from binocular_recon.rotations import rotation
 
 # No entry that is read has more numbers.
 _MOST_NUMBERS, _MOST_STEPS = 256, 4096
+# Nothing that a calibration states is larger.
+_LARGEST = 1e12
 # Largest element of R R^T - I in a rotation: files may hold few digits.
 _ROTATION_TOLERANCE = 1e-3
 
@@ -65,9 +67,10 @@ def _number(value: Any, where: str) -> float:
         number = float(value) if not isinstance(value, bool | bytes) else math.nan
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not math.isfinite(number):
+    if not abs(number) < _LARGEST:
         raise CalibrationError(
-            f'{where} holds {str(value)[:40]!r}, which is not a finite number; calibrate again'
+            f'{where} holds {str(value)[:40]!r}, which is not a number below {_LARGEST:g};'
+            ' check the file, or calibrate again'
         )
     return number
 

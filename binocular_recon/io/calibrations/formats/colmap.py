@@ -69,8 +69,14 @@ class ColmapFormat(CalibrationFormat):
         if not file.name.lower().endswith('.txt'):
             return False
         begin = file.head.decode('utf-8', 'replace')
-        return _is_images(file) or any(
-            line.startswith('# Camera list') or _LINE.match(line) for line in begin.split('\n')[:8]
+        named = file.name.lower().endswith('cameras.txt')
+        return (
+            named
+            or _is_images(file)
+            or any(
+                line.startswith('# Camera list') or _LINE.match(line)
+                for line in begin.split('\n')[:8]
+            )
         )
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:

@@ -7,8 +7,6 @@
 
 from __future__ import annotations
 
-import io
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +15,7 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibrations.format import CalibrationFormat
+from binocular_recon.io.calibrations.formats._mat_file import read_mat
 from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import image_size, numbers, pose_of, turn_of
@@ -159,7 +158,7 @@ def _camera(content: Any, index: int, where: str, pose: FloatArray) -> RawCamera
         content.get('TangentialDistortion', [0, 0]), f'{where}: TangentialDistortion', 2
     )
     size = content.get('ImageSize')
-    empty = size is None or np.size(size) == 0
+    empty = size is None or (isinstance(size, list | np.ndarray) and len(size) == 0)
     return RawCamera(
         name,
         where,
@@ -172,20 +171,13 @@ def _camera(content: Any, index: int, where: str, pose: FloatArray) -> RawCamera
 
 def _mat(file: SourceFile) -> Any:
     """Return the variables of a .mat file as mappings."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    if file.data.startswith(b'\x89HDF') or file.data[:19] == b'MATLAB 7.3 MAT-file':
+    if file.data.startswith(b'\x89HDF') or file.data.startswith(b'MATLAB 7.3 MAT-file'):
         raise CalibrationError(
             f'{file.path} is a MAT-file of version 7.3, which is not read; {_SAVE}'
         )
     try:
-        content = loadmat(io.BytesIO(file.data), simplify_cells=True)
-    except (
-        MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError, MemoryError,
-        NotImplementedError, OverflowError, AttributeError, zlib.error,
-    ) as error:  # fmt: skip
+        return read_mat(file.data)
+    except ValueError as error:
         raise CalibrationError(
             f'{file.path} is no MAT-file that can be read: {error}; {_SAVE}'
         ) from error
-    return content
