@@ -73,12 +73,12 @@ def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
 
 
 def _foreign_rig(path: Path, *, rectified: bool) -> StereoRig:
-    if not path.exists():
-        raise FileError(f'{path} cannot be read: No such file or directory; give a calibration')
-    if path.is_dir() and not any(path.iterdir()):
+    empty = path.is_dir() and not any(path.iterdir())
+    if empty or not path.exists():
+        missing = path if path.suffix else path / 'left.yaml'
         raise FileError(
-            f'{path / "left.yaml"} cannot be read: No such file or directory; give a folder with'
-            f' left.yaml and right.yaml, or a calibration of another program: {formats_text()}'
+            f'{missing} cannot be read: No such file or directory; give a folder with left.yaml'
+            f' and right.yaml, or the calibration of another program: {formats_text()}'
         )
     return read_calibration([path], rectified=rectified).rig
 

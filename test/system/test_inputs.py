@@ -11,7 +11,6 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 
-from binocular_recon.io.calibration_yaml import write_rig
 from binocular_recon.io.messages.camera_infos import camera_from_message
 from binocular_recon.io.messages.images import read_image, stamp_ns
 from binocular_recon.stereo.rectification import Rectifier
@@ -24,6 +23,7 @@ from test.system.rig import (
     image_pair,
     raw_rig,
 )
+from test.unit.io.calibrations.foreign_files import opencv_of_ros
 
 LEFT: tuple[str, type[Image]] = ('/rig/left/image_rect', Image)
 RIGHT: tuple[str, type[Image]] = ('/rig/right/image_rect', Image)
@@ -31,9 +31,9 @@ RIGHT: tuple[str, type[Image]] = ('/rig/right/image_rect', Image)
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a calibration folder with another focal length than the cameras state."""
+    """Return a calibration that OpenCV wrote, with another offset than the cameras state."""
     path = tmp_path_factory.mktemp('calibration')
-    write_rig(path, raw_rig(offset_px=5.0))
+    opencv_of_ros(path, ('a', 'b'), raw_rig(offset_px=5.0))
     return path
 
 

@@ -20,6 +20,8 @@ from binocular_recon.number_text import significant
 # Cameras that differ more do not see the same; the optical axis may come this close to the
 # baseline, rad.
 _MOST_TURNED, _LEAST_ASIDE = np.radians(75), np.radians(30)
+# A baseline that is rounding, m.
+_LEAST_APART_M = 1e-9
 # R and T of a file may differ from its R1, R2, P1 and P2 by this much, rad and a share of T.
 _SAME = 5e-3
 
@@ -64,13 +66,13 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
 
     """
     first, second = raw.pair(choice.cameras)
-    first, second = (_sized(camera, raw, choice) for camera in (first, second))
     pose = relative_pose(first, second, raw.no_pose)
     pose[:3, 3] *= raw.unit_m
     _check_pose(pose, first, second, raw)
     stated = _stated(first, second, raw)
     if stated is not None:
         _check_agreement(stated, pose, raw)
+    first, second = (_sized(camera, raw, choice) for camera in (first, second))
     left, right, why = _in_order(first, second, pose)
     if left is not first:
         pose, stated = inverse(pose), stated and stated.exchanged()
@@ -86,7 +88,7 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
             f'{raw.where} does not state how the images were rectified ({raw.format} has no P);'
             ' give the images as recorded, or the camera infos of the rectified ones'
         )
-    notices = (f'is {left.name} of {raw.where} ({raw.format}); {why}', *raw.notices)
+    notices = (f'{left.name} of {raw.where} ({raw.format}); {why}', *raw.notices)
     if len(raw.cameras) > 2 and choice.cameras is None:
         others = (
             f'{len(raw.cameras)} cameras are stated, {first.name} and {second.name} are taken;'
@@ -100,7 +102,7 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
         )
         for camera, R, P, said in (
             (cameras[0], found.R_left, found.P_left, notices),
-            (cameras[1], found.R_right, found.P_right, (f'is {right.name}',)),
+            (cameras[1], found.R_right, found.P_right, (right.name,)),
         )
     ]  # fmt: skip
     try:
@@ -127,10 +129,10 @@ def _check_pose(pose: FloatArray, first: RawCamera, second: RawCamera, raw: RawR
     """Raise a CalibrationError unless the cameras stand apart and look the same way."""
     baseline_m = float(np.linalg.norm(pose[:3, 3]))
     both = f'{raw.where}: {first.name} and {second.name}'
-    if not 1e-9 < baseline_m < 1e9:
+    if baseline_m < _LEAST_APART_M:
         raise CalibrationError(
-            f'{both} stand {baseline_m:g} m apart, so there is no baseline; calibrate them'
-            ' together as a rig'
+            f'{both} stand at the same place, so there is no baseline; calibrate them together as'
+            ' a rig'
         )
     turned = float(np.arccos(np.clip((np.trace(pose[:3, :3]) - 1) / 2, -1, 1)))
     if turned > _MOST_TURNED:
@@ -171,7 +173,7 @@ def _check_agreement(stated: Rectification, pose: FloatArray, raw: RawRig) -> No
         raise CalibrationError(
             f'{raw.where}: R and T contradict R1, R2, P1 and P2: T is'
             f' {_vector(pose[:3, 3])} m, they say {_vector(shift)} m, and the rotations differ by'
-            f' {np.degrees(off):.2g} degrees; the pose is inverted or of another calibration: take'
+            f' {np.degrees(off):.1f} degrees; the pose is inverted or of another calibration: take'
             ' all files from one calibration'
         )
 

@@ -217,8 +217,8 @@ def relative_pose(first: RawCamera, second: RawCamera, no_pose: str) -> FloatArr
         pose = camera.rectified_pose() if camera.pose is None else camera.pose
         if pose is None:
             raise CalibrationError(
-                f'{camera.where}: the pose of camera {camera.name} is missing, so the baseline is'
-                f' not known; {no_pose}'
+                f'{camera.where}: the pose of {camera.name} is missing, so the baseline is not'
+                f' known; {no_pose}'
             )
         poses.append(pose)
     return poses[1] @ inverse(poses[0])

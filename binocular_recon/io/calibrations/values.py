@@ -11,7 +11,7 @@ import numpy as np
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import plain, significant
 from binocular_recon.rotations import rotation
 
 # No entry that is read has more numbers.
@@ -69,7 +69,7 @@ def _number(value: Any, where: str) -> float:
         number = math.nan
     if not abs(number) < _LARGEST:
         raise CalibrationError(
-            f'{where} holds {str(value)[:40]!r}, which is not a number below {_LARGEST:g};'
+            f'{where} holds {str(value)[:40]!r}, which is not a number below {plain(_LARGEST)};'
             ' check the file, or calibrate again'
         )
     return number

@@ -16,6 +16,7 @@ from binocular_recon.calibration.session.calibration_files import (
     FILES,
     finish_saving,
     save_calibration,
+    save_rig,
 )
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.io.calibration_yaml import read_camera, read_rig
@@ -127,6 +128,33 @@ def test_the_calibration_before_is_kept(tmp_path: Path) -> None:
     save_calibration(solved(0.005), tmp_path)
     assert contents(tmp_path / 'previous') == before
     assert contents(tmp_path) != before
+
+
+def test_a_rig_from_elsewhere_takes_the_place_of_a_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without covariance and report, which stay with the calibration that they belong to."""
+    save_calibration(solved(0.0), tmp_path)
+    before = contents(tmp_path)
+    rig = solved(0.005).rig
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, 'replace', interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            save_rig(rig, tmp_path)
+    for _ in range(2):  # while its files wait for their places, and after
+        read = read_rig(tmp_path)
+        np.testing.assert_array_equal(read.left.P, rig.left.P)
+        assert read.covariance is None
+        finish_saving(tmp_path)
+    assert contents(tmp_path / 'previous') == before
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ['left.yaml', 'previous', 'right.yaml']
+    save_calibration(solved(0.005), tmp_path)
+    assert read_rig(tmp_path).covariance is not None
 
 
 @pytest.mark.parametrize('after', range(9))

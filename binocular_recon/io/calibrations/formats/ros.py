@@ -63,7 +63,7 @@ def camera_values(
             ' write it again with the calibration'
         ) from error
     K, D, R, P = (
-        numbers(values, f'{path} is not a camera file: {name}')
+        numbers(values, f'{path} is not a camera file because {name}')
         for name, values in zip(_MATRICES, data, strict=True)
     )
     return size, K, D, R, P, model

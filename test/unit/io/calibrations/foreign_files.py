@@ -90,16 +90,18 @@ def opencv_one_file(folder: Path, ending: str = 'yaml') -> list[Path]:
     return [path]
 
 
-def opencv_of_ros(folder: Path, names: tuple[str, str] = ('left', 'right')) -> list[Path]:
+def opencv_of_ros(
+    folder: Path, names: tuple[str, str] = ('left', 'right'), rig: StereoRig | None = None
+) -> list[Path]:
     """Write ROS's names by OpenCV's FileStorage."""
-    rig = true_rig()
+    rig = rig or true_rig()
     paths = []
     for name, camera in zip(names, (rig.left, rig.right), strict=True):
         path = opencv_matrices(
-            folder / f'{name}.yaml', image_width=SIZE[0], image_height=SIZE[1], camera_name=name,
-            camera_matrix=camera.K, distortion_model='plumb_bob',
-            distortion_coefficients=np.array([[*camera.D, 0.0]]), rectification_matrix=camera.R,
-            projection_matrix=camera.P,
+            folder / f'{name}.yaml', image_width=camera.width, image_height=camera.height,
+            camera_name=name, camera_matrix=camera.K, distortion_model='plumb_bob',
+            distortion_coefficients=np.pad(camera.D, (0, 5 - camera.D.size))[None],
+            rectification_matrix=camera.R, projection_matrix=camera.P,
         )  # fmt: skip
         paths.append(path)
     return paths
@@ -180,9 +182,9 @@ def colmap(folder: Path, frames: int = 3) -> list[Path]:
         for index, pose in enumerate((LEFT, RIGHT), 1):
             turn, shift = pose.R @ world.R, pose.R @ world.t + pose.t
             x, y, z, w = Rotation.from_matrix(turn).as_quat()
-            values = ' '.join(repr(float(value)) for value in (w, x, y, z, *shift))
+            text = ' '.join(repr(float(value)) for value in (w, x, y, z, *shift))
             side = ('left', 'right')[index - 1]
-            lines.append(f'{2 * frame + index} {values} {index} {side}/{frame:04}.png')
+            lines.append(f'{2 * frame + index} {text} {index} {side}/{frame:04}.png')
             lines.append('' if frame else '10.5 20.25 -1 30 40 7')
     (folder / 'images.txt').write_text('\n'.join(lines) + '\n')
     return [folder / 'cameras.txt']

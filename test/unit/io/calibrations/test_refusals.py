@@ -13,7 +13,6 @@ import pytest
 import yaml
 from scipy.io import savemat
 
-from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.calibrations.raw_rig import Choice
@@ -56,7 +55,7 @@ def put(*path: str, value: Any) -> Change:
     return change
 
 
-def step(value: FloatArray) -> Change:
+def step(value: np.ndarray[Any, Any]) -> Change:
     return put('cam1', 'T_cn_cnm1', value=value.tolist())
 
 
@@ -68,7 +67,7 @@ POSE = Pose(R, T).matrix
     ('change', 'message'),
     [
         (put('cam1', value=None), r'one camera only \(cam0\) \(Kalibr\); a rig needs both'),
-        (put('cam1', 'T_cn_cnm1', value=None), 'pose of camera cam1 is missing.*T_cn_cnm1'),
+        (put('cam1', 'T_cn_cnm1', value=None), 'pose of cam1 is missing.*T_cn_cnm1'),
         (put('cam0', 'resolution', value=None), r'cam0: the image size is missing.*--image-size'),
         (put('cam0', 'resolution', value=[752.5, 480]), 'is 752.5x480 px, it must be two whole'),
         (put('cam1', 'resolution', value=[640, 480]), 'left camera is 752x480, right is 640x480'),
@@ -77,18 +76,21 @@ POSE = Pose(R, T).matrix
         (put('cam0', 'camera_model', value='eucm'), "camera model 'eucm' is not read"),
         (put('cam1', 'distortion_model', value='fov'), "distortion model 'fov' is not read"),
         (put('cam1', 'intrinsics', value=[1, 2, 3]), 'cam1: intrinsics must have 4 values, got 3'),
-        (put('cam1', 'intrinsics', value=None), 'cam1 has no intrinsics, only cam_overlaps'),
+        (put('cam1', 'intrinsics', value=None), 'cam1 has no intrinsics, only T_cn_cnm1'),
         (put('cam0', 'intrinsics', value=[0.6, 0.6, 0.5, 0.5]), 'state them in pixels'),
         (put('cam0', 'intrinsics', value=[-1, 1, 5, 5]), 'camera is not calibrated'),
         (put('cam0', 'distortion_coeffs', value=['.nan', 0, 0, 0]), "'.nan', which is not a numb"),
-        (put('cam0', 'distortion_coeffs', value=[1e300, 0, 0, 0]), 'not a number below 1e'),
+        (
+            put('cam0', 'distortion_coeffs', value=[1e300, 0, 0, 0]),
+            'not a number below 1000000000000;',
+        ),
         (put('cam0', 'distortion_coeffs', value=[True, 0, 0, 0]), "'True', which is not a numb"),
         (put('cam0', 'distortion_coeffs', value=[[0] * 500]), 'more than 256 values'),
         (step(POSE @ MIRROR), r'not a rotation but a reflection \(determinant -1\)'),
         (step(POSE.T), 'last row is -0.91 .*its rows and columns are exchanged'),
         (step(POSE * 1.1), 'it must be 0 0 0 1'),
         (step(np.vstack([POSE[:3] * 1.1, POSE[3:]])), 'R R.T is 0.21 from the identity'),
-        (step(np.eye(4)), 'cam0 and cam1 stand 0 m apart'),
+        (step(np.eye(4)), 'cam0 and cam1 stand at the same place'),
         (step(Pose(np.eye(3), np.array([0.05, 0, -0.9])).matrix), 'one stands in front of the o'),
         (step(Pose(np.diag([-1.0, -1, 1]), T).matrix), 'turned against each other by 180 degrees'),
     ],
@@ -203,8 +205,8 @@ def test_faults_of_opencv(tmp_path: Path) -> None:
 
     for values, message in (
         ({'P1': None}, r'the image size is missing \(OpenCV\)'),
-        ({'P1': rig.left.P + 1}, r'P\[0, 1\]'),
-        ({'T': -T[:, None]}, r'R and T contradict R1, R2, P1 and P2: T is \(0.910, '),
+        ({'P1': rig.left.P + np.eye(3, 4, 2) / 9}, 'the image size is missing'),
+        ({'T': -T[:, None]}, r'R and T contradict R1, R2, P1 and P2: T is \(0.9100, '),
         ({'R': R.T}, 'R and T contradict'),
         ({'R': np.diag([1.0, 1, -1])}, 'R is not a rotation but a reflection'),
         ({'T': np.zeros((2, 1))}, 'T must have 3 values, got 2'),
@@ -212,14 +214,19 @@ def test_faults_of_opencv(tmp_path: Path) -> None:
         pose(**values)
         with pytest.raises(CalibrationError, match=message):
             read_calibration([intrinsics, extrinsics])
+    opencv_sample(tmp_path, size=True)
+    pose(P1=rig.left.P + 1)
+    with pytest.raises(CalibrationError, match=r'P\[0, 1\] is 1, it must be 0'):
+        read_calibration([intrinsics, extrinsics])
+    pose(R1=2 * rig.left.R)
+    with pytest.raises(CalibrationError, match=r'm1: R is not a rotation: R R\^T is 3'):
+        read_calibration([intrinsics, extrinsics])
     text = extrinsics.read_text()
     extrinsics.write_text(text.replace('rows: 3', 'rows: 4', 1))
     with pytest.raises(CalibrationError, match='must have 4 x 3 values, got 9'):
         read_calibration([intrinsics, extrinsics])
     extrinsics.unlink()
-    with pytest.raises(
-        CalibrationError, match='pose of camera camera 1 is missing.*R and T of st'
-    ):
+    with pytest.raises(CalibrationError, match=r'pose of camera 1 is missing, .*R and T of st'):
         read_calibration([intrinsics])
     single = [
         opencv_matrices(tmp_path / f'{name}.yml', camera_matrix=K, distortion_coefficients=D)
@@ -258,7 +265,7 @@ def test_faults_of_other_formats(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r'one camera only \(left\)'):
         read_calibration(models[:1])
     models[1].write_text(models[0].read_text())
-    with pytest.raises(CalibrationError, match='left and right stand 0 m apart'):
+    with pytest.raises(CalibrationError, match='left and right stand at the same place'):
         read_calibration(models)
     (tmp_path / 'a.cahvor').write_text('Model = CAHVOR')
     with pytest.raises(CalibrationError, match='convert it with mrcal-to-cameramodel'):
@@ -266,7 +273,7 @@ def test_faults_of_other_formats(tmp_path: Path) -> None:
 
     folder = tmp_path / 'euroc'
     folder.mkdir()
-    first, second = euroc(folder)
+    first, _ = euroc(folder)
     first.write_text(first.read_text().replace('radial-tangential', 'fov'))
     with pytest.raises(CalibrationError, match="distortion model 'fov' is not read"):
         read_rig(folder)
@@ -280,16 +287,14 @@ def test_faults_of_other_formats(tmp_path: Path) -> None:
     (path,) = metashape(tmp_path)
     text = path.read_text()
     for old, new, message in (
-        ('class="adjusted"', 'class="adjusted" type2=""', None),
         ('type="frame" class', 'type="spherical" class', "type 'spherical' is not read"),
         ('<f>', '<fx>', 'not a camera file: mismatched tag'),
         ('sensor_id="1"', 'sensor_id="7"', "its sensor '7' is missing"),
-        ('<transform>', '<moved>', 'mismatched'),
+        ('transform>', 'moved>', 'pose of left is missing.*export the cameras'),
     ):
         path.write_text(text.replace(old, new))
-        if message:
-            with pytest.raises(CalibrationError, match=message):
-                read_calibration([path])
+        with pytest.raises(CalibrationError, match=message):
+            read_calibration([path])
     path.write_text('<calibration><projection>frame</projection><f>1000</f></calibration>')
     with pytest.raises(CalibrationError, match=r'the image size \(resolution\) is missing'):
         read_calibration([path])
@@ -303,7 +308,7 @@ def test_faults_of_colmap(tmp_path: Path) -> None:
     images = tmp_path / 'images.txt'
     whole = images.read_text()
     images.write_text(whole.replace(' 1 left/', ' 1 other').replace(' 2 right/', ' 2 another'))
-    with pytest.raises(CalibrationError, match='pose of camera 1 is missing'):
+    with pytest.raises(CalibrationError, match='pose of 1 is missing'):
         read_calibration([path])
     lines = whole.split('\n')
     words = lines[3].split()
@@ -319,9 +324,7 @@ def test_faults_of_colmap(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r'line 1 must have IMAGE_ID'):
         read_calibration([path])
     images.unlink()
-    with pytest.raises(
-        CalibrationError, match='pose of camera 1 is missing.*images.txt of the sa'
-    ):
+    with pytest.raises(CalibrationError, match=r'pose of 1 is missing.*images\.txt of the sa'):
         read_calibration([path])
     text = path.read_text()
     for old, new, message in (
@@ -339,32 +342,27 @@ def test_faults_of_colmap(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('model', 'parameters', 'lens', 'D'),
+    ('model', 'focal', 'rest', 'lens', 'D'),
     [
-        ('SIMPLE_PINHOLE', [500, 320.5, 240.5], 'plumb_bob', [0] * 4),
-        ('PINHOLE', [500, 510, 320.5, 240.5], 'plumb_bob', [0] * 4),
-        ('SIMPLE_RADIAL', [500, 320.5, 240.5, 0.1], 'plumb_bob', [0.1, 0, 0, 0]),
-        ('RADIAL', [500, 320.5, 240.5, 0.1, 0.2], 'plumb_bob', [0.1, 0.2, 0, 0]),
-        ('OPENCV_FISHEYE', [500, 510, 320.5, 240.5, 0.1, 0, 0.01, 0], 'equidistant', [0.1, 0, 0.01, 0]),
-        ('RADIAL_FISHEYE', [500, 320.5, 240.5, 0.1, 0.2], 'equidistant', [0.1, 0.2, 0, 0]),
-        (
-            'FULL_OPENCV', [500, 510, 320.5, 240.5, *np.arange(8) / 100], 'rational_polynomial',
-            np.arange(8) / 100,
-        ),
+        ('SIMPLE_PINHOLE', [500], [], 'plumb_bob', [0, 0, 0, 0]),
+        ('PINHOLE', [500, 510], [], 'plumb_bob', [0, 0, 0, 0]),
+        ('SIMPLE_RADIAL', [500], [0.1], 'plumb_bob', [0.1, 0, 0, 0]),
+        ('RADIAL', [500], [0.1, 0.2], 'plumb_bob', [0.1, 0.2, 0, 0]),
+        ('OPENCV_FISHEYE', [500, 510], [0.1, 0, 0.3, 0], 'equidistant', [0.1, 0, 0.3, 0]),
+        ('RADIAL_FISHEYE', [500], [0.1, 0.2], 'equidistant', [0.1, 0.2, 0, 0]),
+        ('FULL_OPENCV', [500, 510], range(8), 'rational_polynomial', range(8)),
     ],
-)  # fmt: skip
+)
 def test_camera_models_of_colmap(
-    tmp_path: Path, model: str, parameters: list[float], lens: str, D: list[float]
+    tmp_path: Path, model: str, focal: list[int], rest: list[float], lens: str, D: list[float]
 ) -> None:
     (path,) = colmap(tmp_path)
-    text = ' '.join(map(str, parameters))
+    text = ' '.join(map(str, [*focal, 320.5, 240.5, *rest]))
     path.write_text(f'1 {model} 641 481 {text}\n2 {model} 641 481 {text}\n')
     camera = read_calibration([path]).rig.left
     assert camera.distortion_model == lens and camera.size == (641, 481)
-    np.testing.assert_allclose(camera.D, D)
-    assert camera.K[0, 0] == 500 and camera.K[1, 1] == (
-        510 if len(parameters) in (4, 8, 12) and parameters[1] == 510 else 500
-    )
+    np.testing.assert_allclose(camera.D, list(D))
+    np.testing.assert_array_equal(np.diag(camera.K), [500, focal[-1], 1])
     np.testing.assert_allclose(camera.K[:2, 2], [320, 240])
 
 
@@ -403,30 +401,32 @@ def test_a_calibration_of_a_real_world_unit(tmp_path: Path) -> None:
     assert any('lengths are in millimeters' in text for text in found.rig.notices)
 
 
+BOMB = ''.join(
+    f'{name}: &{name} [{f"*{before}," * 9}]\n'
+    for before, name in zip('abcdefgh', 'bcdefghi', strict=True)
+)
+
+
 @pytest.mark.parametrize(
     ('name', 'text', 'message'),
     [
-        ('deep.yaml', '[' * 20_000, 'nested too deeply'),
+        ('deep.yaml', '[' * 2_000, 'nested too deeply'),
         ('deep.json', '[' * 100_000, 'nested too deeply'),
-        ('deep.xml', '<opencv_storage>' + '<a>' * 9999 + '</a>' * 9999 + '</opencv_storage>', 'nested'),
+        ('deep.xml', f'<opencv_storage>{"<a>" * 9999}{"</a>" * 9999}</opencv_storage>', 'nested'),
         ('deep.cameramodel', '{"lensmodel": ' + '[' * 100_000, 'read as a Python dictionary'),
         ('endless.yaml', 'cam0: {intrinsics: &a [*a]}', 'stand for more than'),
-        (
-            'bomb.yaml',
-            'a: &a [1,1,1,1,1,1,1,1]\n'
-            + ''.join(f'{b}: &{b} [{f"*{a}," * 9}]\n' for a, b in zip('abcdefgh', 'bcdefghi', strict=True)),
-            'stand for more than',
-        ),
+        ('bomb.yaml', f'a: &a [1, 1, 1, 1, 1, 1, 1]\n{BOMB}', 'stand for more than'),
+        ('merge.yaml', 'a: &a {<<: [*a, *a]}', 'not a camera file'),
         ('many.json', '[' + '[],' * 600_000 + '1]', 'has more than 1000000 values'),
         ('entities.xml', '<!DOCTYPE a [<!ENTITY b "c">]><document/>', 'declares entities'),
         ('object.yaml', '!!python/object/apply:os.getcwd []', 'could not determine a constructor'),
         ('date.yaml', 'M1: 2020-13-45', 'month must be in'),
         ('key.yaml', '? [a]\n: 1\n', 'unhashable key'),
-        ('notes.yaml', 'camera: mine\nfocal: 500', r'found in notes.yaml \(it has camera, focal\);'),
-        ('empty.yaml', '', 'no calibration is found in empty.yaml; ROS camera info .* are read'),
-        ('a.txt', 'hello', 'no calibration is found in a.txt'),
+        ('notes.yaml', 'camera: mine\nfocal: 5', r'in notes\.yaml \(it has camera, focal\);'),
+        ('empty.yaml', '', r'no calibration is found in empty\.yaml; ROS camera info .* are read'),
+        ('a.txt', 'hello', r'no calibration is found in a\.txt'),
     ],
-)  # fmt: skip
+)
 def test_hostile_and_unknown_files(tmp_path: Path, name: str, text: str, message: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(CalibrationError, match=message):
@@ -434,8 +434,8 @@ def test_hostile_and_unknown_files(tmp_path: Path, name: str, text: str, message
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=r'nowhere cannot be read: No such file'):
-        read_rig(tmp_path / 'nowhere')
+    with pytest.raises(FileError, match=r'nowhere\.yaml cannot be read: No such file'):
+        read_rig(tmp_path / 'nowhere.yaml')
     large = tmp_path / 'large.yaml'
     large.write_text('a: [' + '1, ' * 200_000)
     with pytest.raises(FileError, match='more than 512 kB, more than a calibration'):
@@ -456,16 +456,18 @@ def test_several_formats_and_left_over_files(tmp_path: Path) -> None:
     files = [*kalibr(tmp_path), *opencv_one_file(tmp_path)]
     with pytest.raises(
         CalibrationError,
-        match=r'several formats: stereo.yaml \(OpenCV\); camchain.yaml \(Kalibr\)',
+        match=r'several formats: camchain.yaml \(Kalibr\); stereo.yaml \(OpenCV\)',
     ):
         read_rig(tmp_path)
     (tmp_path / 'notes.yaml').write_text('a: 1')
     (tmp_path / 'broken.yaml').write_text('[')
     files[1].unlink()
     assert read_rig(tmp_path).left.size == SIZE  # other files of a folder do not matter
-    with pytest.raises(CalibrationError, match='notes.yaml is no part of a calibration of Kalibr'):
+    with pytest.raises(
+        CalibrationError, match=r'notes\.yaml is no part of a calibration of Kalibr'
+    ):
         read_calibration([files[0], tmp_path / 'notes.yaml'])
-    with pytest.raises(CalibrationError, match='broken.yaml is not a camera file'):
+    with pytest.raises(CalibrationError, match=r'broken\.yaml is not a camera file'):
         read_calibration([files[0], tmp_path / 'broken.yaml'])
     second = tmp_path / 'other.yaml'
     second.write_text(yaml.safe_dump(yaml.safe_load(files[0].read_text())))
