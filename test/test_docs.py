@@ -20,6 +20,7 @@ import yaml
 import binocular_recon
 from binocular_recon.cli.main import COMMANDS
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
+from binocular_recon.io.calibrations import FORMATS
 from binocular_recon.io.messages.images import ENCODINGS
 from binocular_recon.lenses import LENSES
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
@@ -96,6 +97,13 @@ def test_the_limits_are_those_of_the_code() -> None:
 def test_the_survey_page_lists_all_commands() -> None:
     cells = ' '.join(row[0] for row in table(page('survey.md'), 'command'))
     assert {name.split()[0] for name in re.findall('`(.*?)`', cells)} == set(COMMANDS)
+
+
+def test_the_calibrations_page_lists_all_formats() -> None:
+    read, *_ = re.findall(r'(?:^\|.*\n)+', page('calibrations.md'), re.MULTILINE)
+    assert [row.split('|')[1].strip() for row in read.splitlines()[2:]] == [
+        one.NAME for one in FORMATS
+    ]
 
 
 def test_the_readme_is_short_and_leads_to_every_page() -> None:

@@ -138,8 +138,12 @@ def test_a_rig_from_elsewhere_takes_the_place_of_a_calibration(
     before = contents(tmp_path)
     rig = solved(0.005).rig
 
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
+    replace = Path.replace
+
+    def interrupted(self: Path, target: Path) -> Path:
+        if target.parent.name == 'previous':
+            raise KeyboardInterrupt
+        return replace(self, target)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, 'replace', interrupted)
