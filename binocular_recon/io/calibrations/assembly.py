@@ -89,9 +89,9 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
             ' give the images as recorded, or the camera infos of the rectified ones'
         )
     notices = (f'{left.name} of {raw.where} ({raw.format}); {why}', *raw.notices)
-    if len(raw.cameras) > 2 and choice.cameras is None:
+    if len(raw.listed) > 2 and choice.cameras is None:
         others = (
-            f'{len(raw.cameras)} cameras are stated, {first.name} and {second.name} are taken;'
+            f'{len(raw.listed)} cameras are stated, {first.name} and {second.name} are taken;'
             ' import-calibration --cameras chooses others'
         )
         notices = (*notices, others)
@@ -114,6 +114,11 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
 
 def _sized(camera: RawCamera, raw: RawRig, choice: Choice) -> RawCamera:
     size = camera.size or choice.image_size
+    if size is not None and choice.image_size not in (None, size):
+        raise CalibrationError(
+            f'{camera.where}: the images have {size[0]}x{size[1]} px, not the size that'
+            ' --image-size states; omit it, or use the calibration of that size'
+        )
     if size is None:
         raise CalibrationError(
             f'{camera.where}: the image size is missing ({raw.format}); state it with'

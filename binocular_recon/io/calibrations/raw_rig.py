@@ -147,13 +147,15 @@ class RawRig:
     files : tuple of Path
         Files that were read.
     cameras : sequence of RawCamera
-        In the order of the file.
+        Those that are wanted, in the order of the file.
     no_pose : str
         What to do if a camera has no pose.
     unit_m : float
         Unit of the poses, m.
     notices : tuple of str
         What the user should know, a sentence each.
+    names : tuple of str
+        Names of all cameras of the file, if it has more than those in ``cameras``.
 
     """
 
@@ -163,6 +165,12 @@ class RawRig:
     no_pose: str
     unit_m: float = 1.0
     notices: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    @property
+    def listed(self) -> tuple[str, ...]:
+        """Names of all cameras of the file."""
+        return self.names or tuple(camera.name for camera in self.cameras)
 
     @property
     def where(self) -> str:
@@ -184,9 +192,9 @@ class RawRig:
 
         """
         known = {camera.name: camera for camera in self.cameras}
-        listed = ', '.join(list(known)[:12]) + (', ...' if len(known) > 12 else '')
-        if len(self.cameras) < 2:
-            only = f'one camera only ({listed})' if known else 'no camera'
+        listed = ', '.join(self.listed[:12]) + (', ...' if len(self.listed) > 12 else '')
+        if len(self.listed) < 2:
+            only = f'one camera only ({listed})' if listed else 'no camera'
             raise CalibrationError(
                 f'{self.where} holds {only} ({self.format}); a rig needs both cameras and their'
                 f' pose: {self.no_pose}'
@@ -201,6 +209,16 @@ class RawRig:
         if names[0] == names[1]:
             raise CalibrationError(f'camera {names[0]!r} is chosen twice; choose two of {listed}')
         return known[names[0]], known[names[1]]
+
+
+def wanted(names: Sequence[str], choice: Choice) -> list[str]:
+    """Return which cameras of a file are read: the chosen ones, the first two without a choice.
+
+    Faults of the others do not matter.
+    """
+    if choice.cameras is None:
+        return list(names[:2])
+    return [name for name in names if name in choice.cameras]
 
 
 def relative_pose(first: RawCamera, second: RawCamera, no_pose: str) -> FloatArray:

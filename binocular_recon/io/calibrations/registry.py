@@ -102,9 +102,8 @@ def _files(path: Path) -> Sequence[Path]:
     if not path.is_dir():
         return [path]
     try:
-        files = [one for one in sorted(path.iterdir()) if one.name.lower().endswith(_ENDINGS)]
-        for pattern in _DEEPER:
-            files += sorted(path.glob(pattern))
+        files = [one for pattern in _DEEPER for one in sorted(path.glob(pattern))]
+        files += [one for one in sorted(path.iterdir()) if one.name.lower().endswith(_ENDINGS)]
     except OSError as error:
         raise FileError(
             f'{path} cannot be read: {error.strerror or error}; give a folder with a calibration'

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -178,3 +179,11 @@ def side_of(text: str) -> str:
     words = set(re.split('[^a-z]+', text.lower()))
     found = {side for side in ('left', 'right') if side in text.lower() or side[0] in words}
     return found.pop() if len(found) == 1 else ''
+
+
+def frame_of(name: str) -> str:
+    """Return what the names of the two images of a frame share."""
+    path = Path(name)
+    if len(path.parts) > 1:  # each camera has its folder
+        return path.name.lower()
+    return re.sub(r'left|right|cam(era)?_?\d+|(?<![a-z])[lr](?![a-z])', '', name.lower())

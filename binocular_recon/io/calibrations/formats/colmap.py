@@ -14,9 +14,10 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.io.calibrations.format import CalibrationFormat
-from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
+    frame_of,
     image_size,
     inverse,
     matrix_of,
@@ -46,7 +47,8 @@ _MOST_LINE, _MOST_IMAGES = 1 << 20, 100_000
 _SPREAD = 0.05
 _NO_POSE = (
     'images.txt of the same model, beside cameras.txt, states the poses, if both cameras took'
-    ' images of the same frames'
+    ' images of the same frames; each camera needs a number of its own'
+    ' (--ImageReader.single_camera_per_folder 1)'
 )
 
 
@@ -94,7 +96,9 @@ class ColmapFormat(CalibrationFormat):
                 f'{files[0].path}: one cameras.txt and at most one images.txt make a calibration,'
                 f' got {len(lists)} and {len(images)}; give those of one model'
             )
-        cameras = list(_cameras(lists[0]))
+        rows = _rows(lists[0])
+        chosen = wanted(list(rows), choice)
+        cameras = [_camera(name, *row) for name, row in rows.items() if name in chosen]
         paths = [lists[0].path]
         beside = lists[0].path.with_name(lists[0].name.replace('cameras', 'images'))
         if not images and beside != lists[0].path and beside.is_file():
@@ -103,7 +107,9 @@ class ColmapFormat(CalibrationFormat):
         if images:
             paths.append(images[0].path)
             cameras, notices = _posed(cameras, list(_images(images[0].path)), choice)
-        return RawRig(self.NAME, tuple(paths), cameras, _NO_POSE, notices=notices)
+        return RawRig(
+            self.NAME, tuple(paths), cameras, _NO_POSE, notices=notices, names=tuple(rows)
+        )
 
 
 def _is_images(file: SourceFile) -> bool:
@@ -111,8 +117,9 @@ def _is_images(file: SourceFile) -> bool:
     return file.name.lower().endswith('images.txt') or begin.startswith('# Image list')
 
 
-def _cameras(file: SourceFile) -> Iterator[RawCamera]:
-    seen = set()
+def _rows(file: SourceFile) -> dict[str, tuple[str, list[str]]]:
+    """Return place and words of the line of each camera, by its number."""
+    rows: dict[str, tuple[str, list[str]]] = {}
     for count, line in enumerate(file.text.splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith('#'):
@@ -123,28 +130,32 @@ def _cameras(file: SourceFile) -> Iterator[RawCamera]:
                 f'{where} must have CAMERA_ID, MODEL, WIDTH, HEIGHT and parameters, got'
                 f' {line[:60]!r}; the file is cut off or no cameras.txt, export it again'
             )
-        name, model = words[:2]
-        if name in seen:
-            raise CalibrationError(f'{where}: camera {name} is there twice; export it again')
-        seen.add(name)
-        if model not in _MODELS:
-            raise CalibrationError(
-                f'{where}: the camera model {model[:40]!r} is not read, only'
-                f' {", ".join(_MODELS)}; reconstruct with --ImageReader.camera_model OPENCV'
-            )
-        lens, focals, count_D = _MODELS[model]
-        values = numbers(words[4:], f'{where}: {model}', focals + 2 + count_D)
-        D = np.zeros({'plumb_bob': 4, 'equidistant': 4, 'rational_polynomial': 8}[lens])
-        D[:count_D] = values[focals + 2 :]
-        cx, cy = values[focals : focals + 2] - _CENTRE_PX
-        yield RawCamera(
-            name,
-            where,
-            image_size(words[2:4], f'{where}: WIDTH and HEIGHT'),
-            matrix_of(values[0], values[focals - 1], cx, cy),
-            D,
-            lens,
+        if words[0] in rows:
+            raise CalibrationError(f'{where}: camera {words[0]} is there twice; export it again')
+        rows[words[0]] = where, words
+    return rows
+
+
+def _camera(name: str, where: str, words: list[str]) -> RawCamera:
+    model = words[1]
+    if model not in _MODELS:
+        raise CalibrationError(
+            f'{where}: the camera model {model[:40]!r} is not read, only {", ".join(_MODELS)};'
+            ' reconstruct with --ImageReader.camera_model OPENCV'
         )
+    lens, focals, count_D = _MODELS[model]
+    values = numbers(words[4:], f'{where}: {model}', focals + 2 + count_D)
+    D = np.zeros({'plumb_bob': 4, 'equidistant': 4, 'rational_polynomial': 8}[lens])
+    D[:count_D] = values[focals + 2 :]
+    cx, cy = values[focals : focals + 2] - _CENTRE_PX
+    return RawCamera(
+        name,
+        where,
+        image_size(words[2:4], f'{where}: WIDTH and HEIGHT'),
+        matrix_of(values[0], values[focals - 1], cx, cy),
+        D,
+        lens,
+    )
 
 
 def _images(path: Path) -> Iterator[_Image]:
@@ -204,9 +215,9 @@ def _posed(
     """Return the cameras with the pose of the two that are chosen, and notices."""
     if len(cameras) < 2:
         return cameras, ()
-    chosen = choice.cameras or (cameras[0].name, cameras[1].name)
+    chosen = cameras[0].name, cameras[1].name
     taken: list[dict[str, _Image]] = [
-        {_frame(image.name): image for image in images if str(image.camera) == name}
+        {frame_of(image.name): image for image in images if str(image.camera) == name}
         for name in chosen
     ]
     frames = sorted(set(taken[0]) & set(taken[1]))
@@ -241,11 +252,3 @@ def _posed(
         for camera in cameras
     ]
     return posed, tuple(notices)
-
-
-def _frame(name: str) -> str:
-    """Return what the names of both images of a frame share."""
-    path = Path(name)
-    if len(path.parts) > 1:
-        return path.name.lower()
-    return re.sub(r'left|right|cam(era)?_?\d+|(?<![a-z])[lr](?![a-z])', '', name.lower())

@@ -9,7 +9,7 @@ import numpy as np
 
 from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibrations.format import CalibrationFormat
-from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
     entry,
@@ -47,17 +47,24 @@ class EurocFormat(CalibrationFormat):
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read the cameras; each has the name of its folder."""
-        del choice
-        cameras = [_camera(file) for file in files]
+        names = [_name(file) for file in files]
+        chosen = wanted(names, choice)
+        cameras = [
+            _camera(file) for file, name in zip(files, names, strict=True) if name in chosen
+        ]
         paths = tuple(file.path for file in files)
-        return RawRig(
-            self.NAME, paths, cameras, 'give the sensor.yaml of both cameras, each with its T_BS'
-        )
+        no_pose = 'give the sensor.yaml of both cameras, each with its T_BS'
+        return RawRig(self.NAME, paths, cameras, no_pose, names=tuple(names))
+
+
+def _name(file: SourceFile) -> str:
+    """Return the name of a camera: that of its folder."""
+    return file.path.resolve().parent.name if file.name == 'sensor.yaml' else file.path.stem
 
 
 def _camera(file: SourceFile) -> RawCamera:
     content, where = file.content, str(file.path)
-    name = file.path.resolve().parent.name if file.name == 'sensor.yaml' else file.path.stem
+    name = _name(file)
     model = str(content.get('camera_model', 'pinhole'))
     kind = str(content.get('distortion_model', 'none'))
     if model != 'pinhole' or kind not in _LENSES:

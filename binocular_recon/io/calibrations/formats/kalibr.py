@@ -13,7 +13,7 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibrations.format import CalibrationFormat
-from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
     entry,
@@ -47,24 +47,25 @@ class KalibrFormat(CalibrationFormat):
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read all cameras of the chain; poses are those from ``cam0``."""
-        del choice
         if len(files) > 1:
             raise CalibrationError(
                 f'{files[0].path} and {files[1].name} are two calibrations of Kalibr; give one'
             )
         (file,) = files
+        names = _names(file.content)
+        chosen = wanted(names, choice)
         pose: FloatArray | None = np.eye(4)
         cameras = []
-        for index, name in enumerate(_names(file.content)):
+        for index, name in enumerate(names):
             content, where = file.content[name], f'{file.path}: {name}'
             if index:
                 pose = _next(pose, content, where)
-            cameras.append(_camera(name, content, where, pose))
+            if name in chosen:
+                cameras.append(_camera(name, content, where, pose))
         if any(camera.pose is None for camera in cameras):
             cameras = _by_imu(file, cameras)
-        return RawRig(
-            self.NAME, (file.path,), cameras, f'T_cn_cnm1 of the second camera states it; {_AGAIN}'
-        )
+        no_pose = f'T_cn_cnm1 of the second camera states it; {_AGAIN}'
+        return RawRig(self.NAME, (file.path,), cameras, no_pose, names=tuple(names))
 
 
 def _names(content: Any) -> list[str]:

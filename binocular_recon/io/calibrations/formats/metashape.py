@@ -7,6 +7,7 @@ Camera models as in appendix "Camera models" of the user manual of Metashape Pro
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -14,9 +15,10 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibrations.format import CalibrationFormat
-from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
+    frame_of,
     image_size,
     inverse,
     matrix_of,
@@ -50,7 +52,6 @@ class MetashapeFormat(CalibrationFormat):
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read the cameras by their labels."""
-        del choice
         paths = tuple(file.path for file in files)
         if all(file.content.tag == 'calibration' for file in files):
             cameras = [
@@ -67,34 +68,66 @@ class MetashapeFormat(CalibrationFormat):
             raise CalibrationError(
                 f'{paths[0]} holds {len(chunks)} chunks; export the cameras of one'
             )
-        cameras, notices = _of_chunk(chunks[0], str(paths[0]))
-        return RawRig(self.NAME, paths, cameras, _EXPORT, notices=notices)
+        return self._of_chunk(chunks[0], paths, choice)
+
+    def _of_chunk(self, chunk: Element, paths: tuple[Path, ...], choice: Choice) -> RawRig:
+        scale = chunk.findtext('transform/scale') or chunk.findtext(
+            'components/component/transform/scale'
+        )
+        where = str(paths[0])
+        factor = 1.0 if scale is None else float(numbers(scale, f'{where}: scale', 1)[0])
+        listed = {
+            one.get('label') or f'camera {index}': one
+            for index, one in enumerate(chunk.iterfind('.//cameras//camera'))
+        }
+        names = _pair_first(listed, choice, where)
+        sensors = {sensor.get('id'): sensor for sensor in chunk.iterfind('sensors/sensor')}
+        cameras = []
+        for label in wanted(names, choice):
+            own, one = f'{where}: {label}', listed[label]
+            sensor = sensors.get(one.get('sensor_id'))
+            if sensor is None:
+                raise CalibrationError(
+                    f'{own}: its sensor {one.get("sensor_id")!r} is missing; {_EXPORT}'
+                )
+            found = sensor.findall('calibration')
+            adjusted = [part for part in found if part.get('class') == 'adjusted']
+            if not found:
+                raise CalibrationError(f'{own}: its sensor has no calibration; {_EXPORT}')
+            text, pose = one.findtext('transform'), None
+            if text is not None:
+                pose = inverse(transformation(text.split(), f'{own}: transform'))
+                pose[:3, 3] *= factor
+            cameras.append(_camera(label, (adjusted or found)[0], own, pose, sensor))
+        notices = () if scale is not None else (_NO_SCALE,)
+        return RawRig(self.NAME, paths, cameras, _EXPORT, notices=notices, names=tuple(names))
 
 
-def _of_chunk(chunk: Element, where: str) -> tuple[list[RawCamera], tuple[str, ...]]:
-    sensors = {sensor.get('id'): sensor for sensor in chunk.iterfind('sensors/sensor')}
-    scale = chunk.findtext('transform/scale')
-    factor = 1.0 if scale is None else float(numbers(scale, f'{where}: scale', 1)[0])
-    cameras = []
-    for index, one in enumerate(chunk.iterfind('.//cameras//camera')):
-        label = one.get('label') or f'camera {index}'
-        own = f'{where}: {label}'
-        sensor = sensors.get(one.get('sensor_id'))
-        if sensor is None:
-            raise CalibrationError(
-                f'{own}: its sensor {one.get("sensor_id")!r} is missing; {_EXPORT}'
-            )
-        found = sensor.findall('calibration')
-        adjusted = [part for part in found if part.get('class') == 'adjusted']
-        if not found:
-            raise CalibrationError(f'{own}: its sensor has no calibration; {_EXPORT}')
-        text, pose = one.findtext('transform'), None
-        if text is not None:
-            pose = inverse(transformation(text.split(), f'{own}: transform'))
-            pose[:3, 3] *= factor
-        cameras.append(_camera(label, (adjusted or found)[0], own, pose, sensor))
-    notices = () if scale is not None else (_NO_SCALE,)
-    return cameras, notices
+def _pair_first(listed: dict[str, Element], choice: Choice, where: str) -> list[str]:
+    """Return the names of all images, first one of each of two sensors, of the same frame.
+
+    Every image is a camera to Metashape, so the first two may be of one camera.
+    """
+    names = list(listed)
+    if len(names) <= 2 or choice.cameras is not None:
+        return names
+    first = names[0]
+    sensor, frame = listed[first].get('sensor_id'), frame_of(first)
+    second = next(
+        (
+            name
+            for name in names
+            if listed[name].get('sensor_id') != sensor and frame_of(name) == frame
+        ),
+        None,
+    )
+    if second is None:
+        raise CalibrationError(
+            f'{where}: which of the {len(names)} images are of the same frame is not known, none of'
+            f' another sensor is named like {first}; choose two with import-calibration --cameras'
+            ' LABEL,LABEL'
+        )
+    return [first, second, *(name for name in names if name not in (first, second))]
 
 
 def _camera(

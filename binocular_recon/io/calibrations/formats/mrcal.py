@@ -12,7 +12,7 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibrations.format import CalibrationFormat
-from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
+from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
     entry,
@@ -44,8 +44,11 @@ class MrcalFormat(CalibrationFormat):
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read the cameras; each has the name of its file."""
-        del choice
-        cameras = [_camera(file) for file in files]
+        names = [file.path.stem for file in files]
+        chosen = wanted(names, choice)
+        cameras = [
+            _camera(file) for file, name in zip(files, names, strict=True) if name in chosen
+        ]
         if len(cameras) > 1 and all(
             camera.pose is not None and np.array_equal(camera.pose, np.eye(4))
             for camera in cameras
@@ -55,7 +58,9 @@ class MrcalFormat(CalibrationFormat):
                 ' missing; calibrate the cameras together with mrcal-calibrate-cameras'
             )
         paths = tuple(file.path for file in files)
-        return RawRig(self.NAME, paths, cameras, 'rt_cam_ref of both models states it')
+        return RawRig(
+            self.NAME, paths, cameras, 'give both models; rt_cam_ref states it', names=tuple(names)
+        )
 
 
 def _old(content: dict[Any, Any]) -> tuple[Any, Any]:

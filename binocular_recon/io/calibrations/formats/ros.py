@@ -39,7 +39,7 @@ class RosFormat(CalibrationFormat):
         del choice
         cameras = [_camera(file) for file in files]
         paths = tuple(file.path for file in files)
-        return RawRig(self.NAME, paths, cameras, 'calibrate the cameras together as a rig')
+        return RawRig(self.NAME, paths, cameras, 'give both files, or the folder that holds them')
 
 
 def camera_values(
