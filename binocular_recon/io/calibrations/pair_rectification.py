@@ -15,6 +15,8 @@ from binocular_recon.io.calibrations.values import pose_of
 # With alpha 0, OpenCV enlarges images of strongly distorting lenses without bounds.
 _MOST_ENLARGED, _MOST_REDUCED = 2.0, 0.5
 _ROUNDING = 1e-9
+# Points per side of the image that are undistorted.
+_GRID = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,12 @@ def rectify_pair(left: Camera, right: Camera, pose: FloatArray) -> Rectification
     try:
         R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
             left.K, D[0], right.K, D[1], left.size, pose[:3, :3], pose[:3, 3:].copy(),
-            flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
+            flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1,
         )  # fmt: skip
+        if polynomial:
+            scale = max(_scale(left, R_left, P_left), _scale(right, R_right, P_right))
+            zoom = np.array([[scale, 1, 1, scale], [1, scale, 1, scale], [1, 1, 1, 1]])
+            P_left, P_right = P_left * zoom, P_right * zoom
     except cv2.error as error:
         raise CalibrationError(
             f'the cameras cannot be rectified: {error.err}; calibrate again'
@@ -104,6 +110,25 @@ def rectify_pair(left: Camera, right: Camera, pose: FloatArray) -> Rectification
         P_left = np.column_stack([K, np.zeros(3)])
         P_right = np.column_stack([K, K @ _along(R_right @ pose[:3, 3])])
     return Rectification(R_left, P_left, R_right, P_right)
+
+
+def _scale(camera: Camera, R: FloatArray, P: FloatArray) -> float:
+    """Return the factor on the focal length that leaves no pixel without data (alpha 0).
+
+    As OpenCV from 5 on finds it; earlier versions take the image for one pixel larger, and their
+    focal length differs by up to 1e-4.
+    """
+    last = np.array(camera.size) - 1.0
+    shares = np.linspace(0, 1, _GRID)
+    grid = np.stack(np.meshgrid(shares * last[0], shares * last[1]), axis=-1)
+    points = cv2.undistortPoints(
+        grid.reshape(-1, 1, 2).astype(np.float32), camera.K, camera.D, R=R, P=P[:, :3]
+    ).reshape(_GRID, _GRID, 2)
+    near = np.array([points[:, 0, 0].max(), points[0, :, 1].max()])
+    far = np.array([points[:, -1, 0].min(), points[-1, :, 1].min()])
+    centre = P[:2, 2]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return float(np.max([centre / (centre - near), (last - centre) / (far - centre)]))
 
 
 def _along(shift: FloatArray) -> FloatArray:

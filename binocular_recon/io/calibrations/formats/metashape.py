@@ -123,9 +123,9 @@ def _pair_first(listed: dict[str, Element], choice: Choice, where: str) -> list[
     )
     if second is None:
         raise CalibrationError(
-            f'{where}: which of the {len(names)} images are of the same frame is not known, none of'
-            f' another sensor is named like {first}; choose two with import-calibration --cameras'
-            ' LABEL,LABEL'
+            f'{where}: which of the {len(names)} images are of the same frame is not known: none'
+            f' of another sensor is named like {first}; choose two with import-calibration'
+            ' --cameras LABEL,LABEL'
         )
     return [first, second, *(name for name in names if name not in (first, second))]
 

@@ -25,6 +25,9 @@ RIGHT_D = np.array([-0.26368365, 0.06451284, -0.0010473, 0.0013555907])
 R = Rotation.from_rotvec([0.021, -0.043, 0.032]).as_matrix()
 T = np.array([-0.91, 0.021, -0.034])
 
+# As stereoRectify of OpenCV 5.0.0 finds it with alpha 0; earlier versions differ by 0.005 px.
+FOCAL_PX = 431.1757399116362
+
 
 class Pose(NamedTuple):
     """A camera in the frame of the files: x_camera = R x + t."""
@@ -48,8 +51,11 @@ def true_rig() -> StereoRig:
     """Return the rig, rectified by OpenCV."""
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         LEFT_K, LEFT_D, RIGHT_K, RIGHT_D, SIZE, R, T[:, None], flags=cv2.CALIB_ZERO_DISPARITY,
-        alpha=0,
+        alpha=-1,
     )  # fmt: skip
+    scale = FOCAL_PX / P1[0, 0]
+    P1[:2, [0, 1, 3]] *= scale
+    P2[:2, [0, 1, 3]] *= scale
     return StereoRig(
         Camera(*SIZE, LEFT_K, LEFT_D, R1, P1), Camera(*SIZE, RIGHT_K, RIGHT_D, R2, P2)
     )
