@@ -3,8 +3,9 @@
 
 Each module here is one file format: `calibration_yaml` and `calibration_json`, `image_files`,
 `pfm`, `disparity_png`, `ply`. All write through `files`, so that a file is either complete or
-absent. `bags` reads and writes recordings; `messages` converts ROS messages. None of them needs
-ROS. The files of each frame are chosen in `apps.frame_formats`.
+absent. `calibrations` reads those of other programs, `bags` reads and writes recordings,
+`messages` converts ROS messages. None of them needs ROS. The files of each frame are chosen in
+`apps.frame_formats`.
 """
 
 from typing import TYPE_CHECKING

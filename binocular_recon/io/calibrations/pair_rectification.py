@@ -115,8 +115,8 @@ def rectify_pair(left: Camera, right: Camera, pose: FloatArray) -> Rectification
 def _scale(camera: Camera, R: FloatArray, P: FloatArray) -> float:
     """Return the factor on the focal length that leaves no pixel without data (alpha 0).
 
-    As OpenCV from 5 on finds it; earlier versions take the image for one pixel larger, and their
-    focal length differs by up to 1e-4.
+    As OpenCV 5 finds it; OpenCV 4.6 takes the image for one pixel larger, so that its focal length
+    differs in the fifth digit.
     """
     last = np.array(camera.size) - 1.0
     shares = np.linspace(0, 1, _GRID)

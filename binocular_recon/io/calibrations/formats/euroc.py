@@ -66,7 +66,8 @@ def _camera(file: SourceFile) -> RawCamera:
     content, where = file.content, str(file.path)
     name = _name(file)
     model = str(content.get('camera_model', 'pinhole'))
-    kind = str(content.get('distortion_model', 'none'))
+    known = {'distortion_coefficients', 'distortion_model'} & set(content)
+    kind = str(entry(content, 'distortion_model', where, _WHOLE)) if known else 'none'
     if model != 'pinhole' or kind not in _LENSES:
         raise CalibrationError(
             f'{where}: the camera model {model!r} with distortion model {kind!r} is not read, only'

@@ -18,6 +18,7 @@ from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import (
     entry,
     image_size,
+    inverse,
     matrix_of,
     numbers,
     side_of,
@@ -91,13 +92,17 @@ def _next(pose: FloatArray | None, content: Any, where: str) -> FloatArray | Non
 
 def _by_imu(file: SourceFile, cameras: list[RawCamera]) -> list[RawCamera]:
     """Return the cameras with the poses from the IMU, where all have one."""
-    poses = [file.content[camera.name].get('T_cam_imu') for camera in cameras]
-    if any(pose is None for pose in poses):
-        return cameras
-    return [
-        dataclasses.replace(camera, pose=transformation(pose, f'{camera.where}: T_cam_imu'))
-        for camera, pose in zip(cameras, poses, strict=True)
-    ]
+    posed = []
+    for camera in cameras:
+        content, where = file.content[camera.name], camera.where
+        if content.get('T_cam_imu') is not None:
+            pose = transformation(content['T_cam_imu'], f'{where}: T_cam_imu')
+        elif content.get('T_imu_cam') is not None:  # as OpenVINS states it
+            pose = inverse(transformation(content['T_imu_cam'], f'{where}: T_imu_cam'))
+        else:
+            return cameras
+        posed.append(dataclasses.replace(camera, pose=pose))
+    return posed
 
 
 def _camera(name: str, content: Any, where: str, pose: FloatArray | None) -> RawCamera:
@@ -107,7 +112,8 @@ def _camera(name: str, content: Any, where: str, pose: FloatArray | None) -> Raw
             f'{where}: the camera model {model!r} is not read, only pinhole with radtan or equi;'
             ' calibrate with --models pinhole-equi for a wide lens'
         )
-    kind = str(content.get('distortion_model', 'none'))
+    known = 'distortion_coeffs' in content or 'distortion_model' in content
+    kind = str(entry(content, 'distortion_model', where, _AGAIN)) if known else 'none'
     if kind not in _LENSES:
         raise CalibrationError(
             f'{where}: the distortion model {kind!r} is not read, only {", ".join(_LENSES)};'

@@ -29,13 +29,13 @@ _REMEDY = (
 )
 # What matrices of camera # are called, in lower case without anything but letters and digits.
 _NAMES = {
-    'K': ('m#', 'k#', 'cameramatrix#', '#cameramatrix', 'intrinsicmatrix#', 'intrinsics#'),
+    'K': ('m#', 'k#', 'cameramatrix#', '#cameramatrix', 'intrinsicmatrix#', 'intrinsics#', '#k'),
     'D': (
         'd#', 'distcoeffs#', '#distcoeffs', 'distortioncoefficients#', '#distortioncoefficients',
-        'distortioncoeffs#', 'distcoeff#', 'dist#', 'distortion#',
+        'distortioncoeffs#', 'distcoeff#', 'dist#', 'distortion#', '#d',
     ),
-    'R': ('r#', 'rectificationmatrix#', 'rect#'),
-    'P': ('p#', 'projectionmatrix#', 'proj#'),
+    'R': ('r#', 'rectificationmatrix#', 'rect#', '#r'),
+    'P': ('p#', 'projectionmatrix#', 'proj#', '#p'),
 }  # fmt: skip
 _CAMERAS = (('1', 'left', 'l'), ('2', 'right', 'r'))
 _POSE = {
@@ -43,7 +43,8 @@ _POSE = {
     'T': ('t', 'translation', 'translationvector', 'stereot'),
 }
 _SIZES = ('imagesize', 'size', 'calibrationsize', 'resolution', 'imgsize')
-_WIDTHS, _HEIGHTS = ('imagewidth', 'width'), ('imageheight', 'height')
+_WIDTHS = ('imagewidth', 'width', 'leftwidth', 'camerawidth')
+_HEIGHTS = ('imageheight', 'height', 'leftheight', 'cameraheight')
 _SINGLE = ('cameramatrix', 'intrinsicmatrix')
 
 

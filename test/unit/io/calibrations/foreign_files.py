@@ -25,7 +25,7 @@ RIGHT_D = np.array([-0.26368365, 0.06451284, -0.0010473, 0.0013555907])
 R = Rotation.from_rotvec([0.021, -0.043, 0.032]).as_matrix()
 T = np.array([-0.91, 0.021, -0.034])
 
-# As stereoRectify of OpenCV 5.0.0 finds it with alpha 0; earlier versions differ by 0.005 px.
+# As stereoRectify of OpenCV 5.0.0 finds it with alpha 0; OpenCV 4.6 differs by 0.005 px.
 FOCAL_PX = 431.1757399116362
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,7 @@ POSE = Pose(R, T).matrix
         (put('cam0', 'camera_model', value='omni'), "camera model 'omni' is not read, only pinh"),
         (put('cam0', 'camera_model', value='ds'), "camera model 'ds' is not read"),
         (put('cam0', 'camera_model', value='eucm'), "camera model 'eucm' is not read"),
+        (put('cam1', 'distortion_model', value=None), 'cam1 has no distortion_model, only'),
         (put('cam1', 'distortion_model', value='fov'), "distortion model 'fov' is not read"),
         (put('cam1', 'intrinsics', value=[1, 2, 3]), 'cam1: intrinsics must have 4 values, got 3'),
         (put('cam1', 'intrinsics', value=None), 'cam1 has no intrinsics, only T_cn_cnm1'),
@@ -132,6 +134,13 @@ def test_more_cameras_and_the_choice_of_two(tmp_path: Path) -> None:
         chain['cam2'] = {**chain['cam1'], 'T_cn_cnm1': POSE.tolist()}
 
     (path,) = kalibr(tmp_path, third)
+    whole = path.read_text()
+    path.write_text(
+        whole.replace('cam2:\n', 'cam2:\n  camera_model: omni\n').replace(
+            'camera_model: pinhole\n  distortion_coeffs: [-0.26',
+            'was: 1\n  distortion_coeffs: [-0.26',
+        )
+    )
     found = read_calibration([path])
     assert found.names == ('cam0', 'cam1')
     assert any('3 cameras are stated, cam0 and cam1 are taken' in t for t in found.rig.notices)
@@ -155,6 +164,15 @@ def test_poses_from_the_imu(tmp_path: Path) -> None:
 
     rig = read_calibration(kalibr(tmp_path, by_imu)).rig
     assert rig.baseline_m == pytest.approx(np.linalg.norm(T))
+    np.testing.assert_allclose(rig.right.R, true_rig().right.R, atol=1e-9)
+
+    def inverted(chain: dict[str, Any]) -> None:
+        by_imu(chain)
+        for camera in chain.values():
+            camera['T_imu_cam'] = np.linalg.inv(camera.pop('T_cam_imu')).tolist()
+
+    rig = read_calibration(kalibr(tmp_path, inverted)).rig
+    np.testing.assert_allclose(rig.right.R, true_rig().right.R, atol=1e-9)
 
 
 def test_a_fisheye_is_rectified_along_rows(tmp_path: Path) -> None:
@@ -241,6 +259,29 @@ def test_faults_of_opencv(tmp_path: Path) -> None:
         read_calibration([extrinsics.rename(tmp_path / 'pose.yml')])
 
 
+def test_older_and_other_notations_of_opencv(tmp_path: Path) -> None:
+    """The header of OpenCV 2 to 4, names as ORB-SLAM has them, matrices in base64."""
+    rig = true_rig()
+    lines = ['%YAML:1.0', '---', 'LEFT.height: 480', 'LEFT.width: 752']
+    for side, camera in (('LEFT', rig.left), ('RIGHT', rig.right)):
+        for key in 'KDRP':
+            value = np.atleast_2d(getattr(camera, key))
+            lines += [f'{side}.{key}: !!opencv-matrix', f'   rows: {len(value)}']
+            lines += [
+                f'   cols: {value.shape[1]}',
+                '   dt: d',
+                f'   data: {value.ravel().tolist()}',
+            ]
+    path = tmp_path / 'slam.yaml'
+    path.write_text('\n'.join(lines))
+    read = read_rig(path)
+    np.testing.assert_allclose(read.right.P, rig.right.P)
+    assert read.left.size == SIZE
+    path.write_text('M1: {rows: 3, cols: 3, dt: d, data: !!binary AAAA}')
+    with pytest.raises(CalibrationError, match='m1 is stored in base64; write the file without'):
+        read_rig(path)
+
+
 def test_rotation_vectors_sizes_and_units_of_opencv(tmp_path: Path) -> None:
     import cv2
 
@@ -251,6 +292,8 @@ def test_rotation_vectors_sizes_and_units_of_opencv(tmp_path: Path) -> None:
     rig = read_calibration([path], Choice(image_size=SIZE)).rig
     assert rig.left.size == SIZE
     assert 'if it is in millimetres, divide P[0, 3] by 1000 (0.9' in rig.warnings[0]
+    with pytest.raises(CalibrationError, match='have 752x480 px, not the size that --image-size'):
+        read_calibration(opencv_one_file(tmp_path), Choice(image_size=(640, 480)))
     scaled = read_calibration([path], Choice(image_size=SIZE, baseline_m=0.9109)).rig
     assert scaled.baseline_m == pytest.approx(0.9109) and not scaled.warnings
     stated = read_calibration(opencv_sample(tmp_path), Choice(baseline_m=2.5)).rig
@@ -298,6 +341,44 @@ def test_faults_of_other_formats(tmp_path: Path) -> None:
     path.write_text('<calibration><projection>frame</projection><f>1000</f></calibration>')
     with pytest.raises(CalibrationError, match=r'the image size \(resolution\) is missing'):
         read_calibration([path])
+
+
+def test_images_of_metashape(tmp_path: Path) -> None:
+    """Every image is a camera: those of one frame and of two sensors are a pair."""
+    (path,) = metashape(tmp_path)
+    text = path.read_text()
+    first, second = (part + '</camera>' for part in text.split('</camera>')[:2])
+    first = first[first.index('<camera ') :]
+    images = [first.replace('label="left"', f'label="left_{frame}"') for frame in range(3)]
+    images.append(second.replace('label="right"', 'label="right_7"'))
+    head, tail = text[: text.index('<camera ')], text[text.index('</cameras>') :]
+    path.write_text(head + ''.join(images) + tail)
+    with pytest.raises(CalibrationError, match='which of the 4 images are of the same frame is n'):
+        read_calibration([path])
+    found = read_calibration([path], Choice(('left_2', 'right_7')))
+    assert found.rig.baseline_m == pytest.approx(np.linalg.norm(T))
+    path.write_text(path.read_text().replace('right_7', 'right_0'))
+    found = read_calibration([path])
+    assert found.names == ('left_0', 'right_0')
+    assert any('4 cameras are stated' in notice for notice in found.rig.notices)
+    path.write_text(text.replace('<transform><scale>0.5</scale></transform>', ''))
+    rig = read_calibration([path]).rig
+    assert any('the chunk has no scale' in notice for notice in rig.notices)
+    assert rig.baseline_m == pytest.approx(2 * np.linalg.norm(T))
+
+
+def test_fisheye_of_metashape(tmp_path: Path) -> None:
+    (path,) = metashape(tmp_path, '<k3>0.01</k3><k4>0.002</k4>')
+    text = path.read_text().replace('type="frame"', 'type="equidistant_fisheye"')
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match='p1 of a equidistant_fisheye camera is'):
+        read_calibration([path])
+    for name in ('p1', 'p2'):
+        text = re.sub(f'<{name}>.*?</{name}>', '', text)
+    path.write_text(text)
+    camera = read_calibration([path]).rig.left
+    assert camera.distortion_model == 'equidistant'
+    np.testing.assert_allclose(camera.D, [*LEFT_D[:2], 0.01, 0.002])
 
 
 def test_faults_of_colmap(tmp_path: Path) -> None:
