@@ -22,7 +22,7 @@ from binocular_recon.errors import CalibrationError, FileError
 # observations that a calibration was made from.
 MOST_YAML_BYTES, MOST_BYTES = 512 << 10, 64 << 20
 # In any format; in YAML with all aliases written out.
-MOST_NODES = 1_000_000
+MOST_NODES = 500_000
 _GZIP = b'\x1f\x8b'
 _BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
 

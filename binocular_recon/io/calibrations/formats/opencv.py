@@ -47,6 +47,9 @@ _WIDTHS = ('imagewidth', 'width', 'leftwidth', 'camerawidth')
 _HEIGHTS = ('imageheight', 'height', 'leftheight', 'cameraheight')
 _SINGLE = ('cameramatrix', 'intrinsicmatrix')
 
+# Name as written and value, by the plain name.
+_Names = dict[str, tuple[str, Any]]
+
 
 class OpenCVFormat(CalibrationFormat):
     """Cameras 1 and 2 with R and T, from the first to the second one, and R1, R2, P1, P2."""
@@ -70,14 +73,14 @@ class OpenCVFormat(CalibrationFormat):
         files = _with_extrinsics(files)
         paths = tuple(file.path for file in files)
         where = ', '.join(map(str, paths))
-        names: dict[str, Any] = {}
+        names: _Names = {}
         for file in files:
             own = _plain(file.content)
             twice = sorted(set(own) & set(names) & _known())
             if twice:
                 raise CalibrationError(
-                    f'{where}: {twice[0]} is in both files, so they belong to two calibrations or'
-                    f' to cameras calibrated alone, without a pose; {_REMEDY}'
+                    f'{where}: {names[twice[0]][0]} is in both files: they are of two calibrations, or of'
+                    f' cameras calibrated alone, without a pose; {_REMEDY}'
                 )
             names |= own
         if not any(_matrix(names, 'K', index) for index in (0, 1)):
@@ -110,21 +113,30 @@ def _known() -> set[str]:
     } | set(_SINGLE)
 
 
-def _plain(content: Any) -> dict[str, Any]:
-    """Return a mapping with names in lower case, letters and digits only."""
+def _plain(content: Any) -> dict[str, tuple[str, Any]]:
+    """Return names as written and values, by names in lower case, letters and digits only."""
     if not isinstance(content, dict):
         return {}
-    return {re.sub('[^a-z0-9]', '', str(key).lower()): value for key, value in content.items()}
+    return {
+        re.sub('[^a-z0-9]', '', str(key).lower()): (str(key), value)
+        for key, value in content.items()
+        if value is not None
+    }
 
 
-def _matrix(names: dict[str, Any], kind: str, index: int) -> tuple[str, Any] | None:
+def _matrix(names: _Names, kind: str, index: int) -> tuple[str, Any] | None:
     """Return name and value of a matrix of a camera."""
     for mark in _CAMERAS[index]:
         for pattern in _NAMES[kind]:
             name = pattern.replace('#', mark)
-            if names.get(name) is not None:
-                return name, names[name]
+            if name in names:
+                return names[name]
     return None
+
+
+def _first(names: _Names, known: Sequence[str]) -> tuple[str, Any] | None:
+    """Return name and value of the first of some names that is there."""
+    return next((names[name] for name in known if name in names), None)
 
 
 def _with_extrinsics(files: Sequence[SourceFile]) -> Sequence[SourceFile]:
@@ -139,49 +151,43 @@ def _with_extrinsics(files: Sequence[SourceFile]) -> Sequence[SourceFile]:
     return files
 
 
-def _without_pair(name: str, files: Sequence[SourceFile], names: dict[str, Any]) -> RawRig:
+def _without_pair(name: str, files: Sequence[SourceFile], names: _Names) -> RawRig:
     """Raise a CalibrationError about what is missing of cameras 1 and 2."""
-    if not any(single in names for single in _SINGLE):
+    found = _first(names, _SINGLE)
+    if found is None:
         raise CalibrationError(
             f'{files[0].path} holds the pose only; the cameras are missing (M1, D1, M2, D2 of'
             f' intrinsics.yml): give both files'
         )
     where = str(files[0].path)
-    K = numbers(names[next(one for one in _SINGLE if one in names)], where, 9).reshape(3, 3)
+    K = numbers(found[1], f'{where}: {found[0]}', 9).reshape(3, 3)
     camera = RawCamera(files[0].path.stem, where, None, K, np.zeros(0))
     return RawRig(name, (files[0].path,), [camera], _REMEDY)
 
 
-def _size(names: dict[str, Any], where: str) -> tuple[int, int] | None:
-    for name in _SIZES:
-        value = names.get(name)
-        if value is not None:
-            if isinstance(value, dict) and {'width', 'height'} <= set(value):
-                value = [value['width'], value['height']]
-            return image_size(value, f'{where}: {name}')
-    width, height = (
-        next((names[name] for name in known if names.get(name) is not None), None)
-        for known in (_WIDTHS, _HEIGHTS)
-    )
+def _size(names: _Names, where: str) -> tuple[int, int] | None:
+    found = _first(names, _SIZES)
+    if found is not None:
+        name, value = found
+        if isinstance(value, dict) and {'width', 'height'} <= set(value):
+            value = [value['width'], value['height']]
+        return image_size(value, f'{where}: {name}')
+    width, height = _first(names, _WIDTHS), _first(names, _HEIGHTS)
     if width is None or height is None:
         return None
-    return image_size([width, height], f'{where}: {_WIDTHS[0]}, {_HEIGHTS[0]}')
+    return image_size([width[1], height[1]], f'{where}: {width[0]}, {height[0]}')
 
 
-def _pose(names: dict[str, Any], where: str) -> FloatArray | None:
-    found = [
-        next(((name, names[name]) for name in known if names.get(name) is not None), None)
-        for known in _POSE.values()
-    ]
-    turn, shift = found
+def _pose(names: _Names, where: str) -> FloatArray | None:
+    turn, shift = (_first(names, known) for known in _POSE.values())
     if turn is None or shift is None:
         return None
-    R = turn_of(turn[1], f'{where}: {turn[0].upper()}')
-    return pose_of(R, numbers(shift[1], f'{where}: {shift[0].upper()}', 3))
+    R = turn_of(turn[1], f'{where}: {turn[0]}')
+    return pose_of(R, numbers(shift[1], f'{where}: {shift[0]}', 3))
 
 
 def _camera(
-    names: dict[str, Any],
+    names: _Names,
     index: int,
     where: str,
     size: tuple[int, int] | None,
@@ -194,8 +200,10 @@ def _camera(
     K = numbers(value, f'{where}: {name}', 9).reshape(3, 3)
     D_name, D_value = _matrix(names, 'D', index) or ('D', [])
     D = numbers(D_value, f'{where}: {D_name}')
-    fisheye = str(names.get('fisheyemodel', names.get('fisheye', '0'))).lower() in ('1', 'true')
-    model = 'equidistant' if fisheye else str(names.get('distortionmodel') or '')
+    _, fisheye = _first(names, ('fisheyemodel', 'fisheye')) or ('', 0)
+    _, model = _first(names, ('distortionmodel',)) or ('', '')
+    if str(fisheye).lower() in ('1', 'true'):
+        model = 'equidistant'
     try:
         lens, D, _ = known_lens(
             model or ('plumb_bob' if D.size <= 5 else 'rational_polynomial'), D
@@ -208,7 +216,7 @@ def _camera(
         else None
         for kind, count in (('R', 9), ('P', 12))
     ]
-    sides = [side for side in ('left', 'right') if side in name]
+    sides = [side for side in ('left', 'right') if side in name.lower()]
     poses = (None, None) if pose is None else (np.eye(4), pose)
     return RawCamera(
         sides[0] if sides else f'camera {index + 1}',

@@ -63,7 +63,7 @@ def test_damaged_files_raise_no_other_errors(name: str, tmp_path: Path) -> None:
     whole = [path.read_bytes() for path in files]
     generator = np.random.default_rng(8)
     refused = 0
-    for _ in range(40):
+    for _ in range(30):
         which = int(generator.integers(len(files)))
         data = whole[which]
         at = int(generator.integers(len(data)))

@@ -237,7 +237,7 @@ def test_faults_of_opencv(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r'P\[0, 1\] is 1, it must be 0'):
         read_calibration([intrinsics, extrinsics])
     pose(R1=2 * rig.left.R)
-    with pytest.raises(CalibrationError, match=r'm1: R is not a rotation: R R\^T is 3'):
+    with pytest.raises(CalibrationError, match=r'M1: R is not a rotation: R R\^T is 3'):
         read_calibration([intrinsics, extrinsics])
     text = extrinsics.read_text()
     extrinsics.write_text(text.replace('rows: 3', 'rows: 4', 1))
@@ -278,7 +278,7 @@ def test_older_and_other_notations_of_opencv(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.right.P, rig.right.P)
     assert read.left.size == SIZE
     path.write_text('M1: {rows: 3, cols: 3, dt: d, data: !!binary AAAA}')
-    with pytest.raises(CalibrationError, match='m1 is stored in base64; write the file without'):
+    with pytest.raises(CalibrationError, match='M1 is stored in base64; write the file without'):
         read_rig(path)
 
 
@@ -498,7 +498,7 @@ BOMB = ''.join(
         ('endless.yaml', 'cam0: {intrinsics: &a [*a]}', 'stand for more than'),
         ('bomb.yaml', f'a: &a [1, 1, 1, 1, 1, 1, 1]\n{BOMB}', 'stand for more than'),
         ('merge.yaml', 'a: &a {<<: [*a, *a]}', 'not a camera file'),
-        ('many.json', '[' + '[],' * 600_000 + '1]', 'has more than 1000000 values'),
+        ('many.json', '[' + '[],' * 300_000 + '1]', 'has more than 500000 values'),
         ('entities.xml', '<!DOCTYPE a [<!ENTITY b "c">]><document/>', 'declares entities'),
         ('object.yaml', '!!python/object/apply:os.getcwd []', 'could not determine a constructor'),
         ('date.yaml', 'M1: 2020-13-45', 'month must be in'),
