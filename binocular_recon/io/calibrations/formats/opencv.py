@@ -79,8 +79,8 @@ class OpenCVFormat(CalibrationFormat):
             twice = sorted(set(own) & set(names) & _known())
             if twice:
                 raise CalibrationError(
-                    f'{where}: {names[twice[0]][0]} is in both files: they are of two calibrations,'
-                    f' or of cameras calibrated alone, without a pose; {_REMEDY}'
+                    f'{where}: {names[twice[0]][0]} is in both files: they are of two'
+                    f' calibrations, or of cameras calibrated alone, without a pose; {_REMEDY}'
                 )
             names |= own
         if not any(_matrix(names, 'K', index) for index in (0, 1)):
