@@ -80,8 +80,7 @@ def assemble(raw: RawRig, choice: Choice, *, rectified: bool = False) -> Importe
         scale = choice.baseline_m / float(np.linalg.norm(pose[:3, 3]))
         pose[:3, 3] *= scale
         stated = stated and stated.scaled(scale)
-    sizes = left.size or (0, 0), right.size or (0, 0)
-    cameras = left.camera(sizes[0]), right.camera(sizes[1])
+    cameras = left.camera(), right.camera()
     found = stated or rectify_pair(*cameras, pose)
     if rectified and not found.stated:
         raise CalibrationError(
@@ -125,9 +124,7 @@ def _sized(camera: RawCamera, raw: RawRig, choice: Choice) -> RawCamera:
             ' import-calibration --image-size WIDTHxHEIGHT, or add image_width and image_height'
             ' to the file'
         )
-    sized = dataclasses.replace(camera, size=size)
-    sized.camera(size)
-    return sized
+    return dataclasses.replace(camera, size=size)
 
 
 def _check_pose(pose: FloatArray, first: RawCamera, second: RawCamera, raw: RawRig) -> None:
@@ -194,25 +191,21 @@ def _in_order(
     across = -pose[:3, :3].T @ pose[:3, 3]
     back = pose[:3, 3]  # centre of the first camera, seen from the second one
     right, down = (across[:2] - back[:2]) / 2
+    beside = abs(right) >= abs(down)
     named = {first.side, second.side} == {'left', 'right'}
-    swapped = first.side == 'right' if named else right < 0
-    left_one, right_one = (second, first) if swapped else (first, second)
-    if abs(down) > abs(right):
-        swapped = named and first.side == 'right'
-        left_one, right_one = (second, first) if swapped else (first, second)
-        below = (down > 0) != swapped
-        return left_one, right_one, (
-            f'{right_one.name} stands {significant(abs(down))} m'
-            f' {"below" if below else "above"} it, so {left_one.name}, '
-            f'{"by its name" if named else "the first one"}, is taken as left'
+    if first.side == 'right' if named else beside and right < 0:
+        first, second, right, down = second, first, -right, -down
+    if not beside:
+        return first, second, (
+            f'{second.name} stands {significant(abs(down))} m {"below" if down > 0 else "above"}'
+            f' it, so {first.name}, {"by its name" if named else "the first one"}, is taken as'
+            ' left'
         )  # fmt: skip
-    if named and (right < 0) != swapped:
+    if right < 0:
         raise CalibrationError(
-            f'{right_one.where}: the camera that is named right ({right_one.name}) stands'
-            f' {significant(abs(right))} m to the left of the one named left ({left_one.name});'
-            ' exchange the names, or invert the pose if its direction is mistaken'
+            f'{second.where}: the camera that is named right ({second.name}) stands'
+            f' {significant(-right)} m to the left of the one named left ({first.name}); exchange'
+            ' the names, or invert the pose if its direction is mistaken'
         )
     reason = 'as their names say' if named else 'by their pose'
-    return left_one, right_one, (
-        f'{right_one.name} stands {significant(abs(right))} m to its right, {reason}'
-    )  # fmt: skip
+    return first, second, f'{second.name} stands {significant(right)} m to its right, {reason}'

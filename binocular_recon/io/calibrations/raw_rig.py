@@ -75,14 +75,10 @@ class RawCamera:
     R: FloatArray | None = None
     P: FloatArray | None = None
 
-    def camera(
-        self,
-        size: tuple[int, int],
-        R: FloatArray | None = None,
-        P: FloatArray | None = None,
-        notices: tuple[str, ...] = (),
-    ) -> Camera:
+    def camera(self, R: FloatArray | None = None, P: FloatArray | None = None) -> Camera:
         """Return the camera, checked; not rectified without R and P.
+
+        Its size is 1 x 1 px while that is not known.
 
         Raises
         ------
@@ -96,14 +92,12 @@ class RawCamera:
                 f' {LEAST_FOCAL_PX:g} px; state them in pixels, not as a share of the image or in'
                 ' millimetres'
             )
+        if P is None:
+            P = np.column_stack([self.K, np.zeros(3)])
+            P[0, 1] = 0.0
         R = np.eye(3) if R is None else R
-        P = (
-            np.column_stack([self.K * [[1, 0, 1], [1, 1, 1], [1, 1, 1]], np.zeros(3)])
-            if (P is None)
-            else P
-        )
         try:
-            return Camera(*size, self.K, self.D, R, P, self.lens, notices)
+            return Camera(*(self.size or (1, 1)), self.K, self.D, R, P, self.lens)
         except CalibrationError as error:
             raise CalibrationError(f'{self.where}: {error}') from error
 
@@ -119,7 +113,7 @@ class RawCamera:
         if self.R is None or self.P is None:
             return None
         R = turn_of(self.R.tolist(), f'{self.where}: R')
-        self.camera(self.size or (1, 1), R, self.P)
+        self.camera(R, self.P)
         if min(self.P[0, 0], self.P[1, 1]) < LEAST_FOCAL_PX:
             raise CalibrationError(
                 f'{self.where}: the focal lengths of P are {self.P[0, 0]:g} and {self.P[1, 1]:g},'

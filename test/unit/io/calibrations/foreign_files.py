@@ -283,6 +283,23 @@ def metashape(folder: Path, more: str = '', scale: float = 0.5) -> list[Path]:
     return [folder / 'cameras.xml']
 
 
+Change = Callable[[dict[str, Any]], object]
+
+
+def put(*path: str, value: Any) -> Change:
+    """Return a change that sets a value of nested mappings; None removes it."""
+
+    def change(content: dict[str, Any]) -> None:
+        for key in path[:-1]:
+            content = content[key]
+        if value is None:
+            content.pop(path[-1])
+        else:
+            content[path[-1]] = value
+
+    return change
+
+
 WRITERS: dict[str, Callable[[Path], list[Path]]] = {
     'opencv sample': opencv_sample,
     'opencv sample, xml': lambda folder: opencv_sample(folder, 'xml', size=True),
