@@ -83,14 +83,14 @@ class ColmapFormat(CalibrationFormat):
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read the cameras; each has the name of its number, as ``1``."""
-        for file in files:
-            if file.name.endswith('.bin'):
-                raise CalibrationError(
-                    f'{file.path}: binary models are not read; convert it with colmap'
-                    ' model_converter --output_type TXT'
-                )
-        lists = [file for file in files if not _is_images(file)]
-        images = [file for file in files if _is_images(file)]
+        texts = [file for file in files if not file.name.endswith('.bin')]
+        if not texts:
+            raise CalibrationError(
+                f'{files[0].path}: binary models are not read; convert it with colmap'
+                ' model_converter --output_type TXT'
+            )
+        lists = [file for file in texts if not _is_images(file)]
+        images = [file for file in texts if _is_images(file)]
         if len(lists) != 1 or len(images) > 1:
             raise CalibrationError(
                 f'{files[0].path}: one cameras.txt and at most one images.txt make a calibration,'

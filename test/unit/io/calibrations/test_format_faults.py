@@ -242,6 +242,8 @@ def test_faults_of_colmap(tmp_path: Path) -> None:
         with pytest.raises(CalibrationError, match=message):
             read_calibration([path])
     (tmp_path / 'cameras.bin').write_bytes(b'\x02' * 100)
+    colmap(tmp_path)
+    assert read_rig(tmp_path).left.size == SIZE  # the text beside it
     with pytest.raises(CalibrationError, match='convert it with colmap model_converter'):
         read_calibration([tmp_path / 'cameras.bin'])
 
