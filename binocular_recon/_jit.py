@@ -41,7 +41,12 @@ def exact_kernel(function: F) -> F:
 
 
 def inline_kernel(function: F) -> F:
-    """Compile like `kernel`, always inlined into the calling kernels: for small inner steps."""
+    """Compile like `kernel`, always inlined into the calling kernels: for those that kernels call.
+
+    Without inlining, a kernel that another one calls exists twice in a process: compiled alone,
+    and compiled again with its caller, where sums may be ordered otherwise. Which of them the
+    caller gets depends on what was loaded before, so the last bits of results would, too.
+    """
     return _compile(function, FASTMATH, forceinline=True)
 
 

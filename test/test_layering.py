@@ -209,6 +209,25 @@ def test_kernels_are_where_their_cache_looks_for_them() -> None:
             assert all(name.startswith(allowed) for name in others), path
 
 
+def test_kernels_called_by_kernels_are_inlined_or_exact() -> None:
+    """Else the result depends on which of two compilations of the inner one was loaded first."""
+    functions: dict[str, tuple[set[str], ast.FunctionDef]] = {}
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                names = {one.id for one in node.decorator_list if isinstance(one, ast.Name)}
+                if names & {'kernel', 'exact_kernel', 'ordered_kernel', 'inline_kernel'}:
+                    functions[node.name] = names, node
+    called = {
+        node.func.id
+        for _, function in functions.values()
+        for node in ast.walk(function)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert len(called & set(functions)) > 50
+    assert [name for name in called & set(functions) if 'kernel' in functions[name][0]] == []
+
+
 def test_only_nodes_import_ros() -> None:
     wrong = [
         f'{name_of(path)} imports {name}'

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
 
@@ -22,7 +22,7 @@ UNDISTORT_STEPS = 8
 SUB = 8
 
 
-@kernel
+@inline_kernel
 def ray_of_pixel(x: float, y: float, camera: FloatArray) -> tuple[float, float]:
     """Return the undistorted ray (X / Z, Y / Z) of a raw pixel.
 
@@ -111,7 +111,7 @@ def draw_cylinder(
                 )
 
 
-@kernel
+@inline_kernel
 def _probe(
     x: int, y: int, camera: FloatArray, rod: FloatArray, marks: FloatArray
 ) -> tuple[int, float, bool]:
@@ -128,7 +128,7 @@ def _probe(
     return band, total / 5, True
 
 
-@kernel
+@inline_kernel
 def _cover(
     x: int, y: int, camera: FloatArray, rod: FloatArray, marks: FloatArray, light_bands: Mask
 ) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 from binocular_recon.simulation._ray_kernels import ray_of_pixel
@@ -33,7 +33,7 @@ OCTAVES = 6
 SKY = 225.0
 
 
-@kernel
+@inline_kernel
 def _lattice(i: int, j: int, k: int, seed: int) -> float:
     """Return a number of -1..1 for a point of the integer lattice, always the same."""
     h = (i * 374761393 + j * 668265263 + k * 2147483647 + seed * 1274126177) & 0xFFFFFFFF
@@ -42,7 +42,7 @@ def _lattice(i: int, j: int, k: int, seed: int) -> float:
     return ((h ^ (h >> 15)) & 0xFFFFFF) / 8388607.5 - 1.0
 
 
-@kernel
+@inline_kernel
 def _noise(x: float, y: float, z: float, seed: int) -> float:
     """Return smooth noise with a period of about two units."""
     i, j, k = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))  # noqa: RUF046
@@ -56,7 +56,7 @@ def _noise(x: float, y: float, z: float, seed: int) -> float:
     return total
 
 
-@kernel
+@inline_kernel
 def _texture(solid: FloatArray, x: float, y: float, z: float, pixel_m: float) -> float:
     """Return brightness of a solid's paint at a point of its own frame.
 
@@ -73,7 +73,7 @@ def _texture(solid: FloatArray, x: float, y: float, z: float, pixel_m: float) ->
     return float(max(0.1, 1 + solid[TEXTURE] * total))
 
 
-@kernel
+@inline_kernel
 def _distance(kind: int, size: FloatArray, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point from a solid."""
     if kind == CAPSULE:
@@ -87,7 +87,7 @@ def _distance(kind: int, size: FloatArray, x: float, y: float, z: float) -> floa
     return float(outside + min(max(side, end), 0.0))
 
 
-@kernel
+@inline_kernel
 def _turn(solid: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a vector of the scene in the solid's own frame."""
     r = ROTATION
@@ -98,7 +98,7 @@ def _turn(solid: FloatArray, x: float, y: float, z: float) -> tuple[float, float
     )
 
 
-@kernel
+@inline_kernel
 def _ball(
     o: tuple[float, float, float], d: tuple[float, float, float], a: float, b: float, c: float
 ) -> tuple[float, float]:
@@ -113,7 +113,7 @@ def _ball(
     return (-od - root) / dd, (-od + root) / dd
 
 
-@kernel
+@inline_kernel
 def _hit(solid: FloatArray, o: tuple[float, float, float], d: tuple[float, float, float]) -> float:
     """Return how far along a ray of its own frame a solid is hit, FAR_M if not.
 
@@ -146,7 +146,7 @@ def _hit(solid: FloatArray, o: tuple[float, float, float], d: tuple[float, float
     return FAR_M
 
 
-@kernel
+@inline_kernel
 def _gather(boxes: IntArray, x: int, y: int, near: IntArray) -> int:
     """Write the solids whose boxes hold a pixel; return their number."""
     count = 0
@@ -157,7 +157,7 @@ def _gather(boxes: IntArray, x: int, y: int, near: IntArray) -> int:
     return count
 
 
-@kernel
+@inline_kernel
 def _nearest(
     solids: FloatArray, near: IntArray, centre: FloatArray, ray: tuple[float, float, float]
 ) -> tuple[int, float]:
@@ -177,7 +177,7 @@ def _nearest(
     return best, depth
 
 
-@kernel
+@inline_kernel
 def _normal(solid: FloatArray, p: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return the outward normal (not of unit length) at a surface point of the own frame."""
     kind, size = int(solid[KIND]), solid[SIZE : SIZE + 3]
@@ -195,7 +195,7 @@ def _normal(solid: FloatArray, p: tuple[float, float, float]) -> tuple[float, fl
     )
 
 
-@kernel
+@inline_kernel
 def _light(
     solid: FloatArray,
     point: tuple[float, float, float],
@@ -217,7 +217,7 @@ def _light(
     return _texture(solid, p[0], p[1], p[2], pixel_m) * (0.55 + 0.45 * max(0.0, lit))
 
 
-@kernel
+@inline_kernel
 def _ray(x: float, y: float, camera: FloatArray, pose: FloatArray) -> tuple[float, float, float]:
     """Return the ray of a raw pixel in the scene, of camera depth 1."""
     u, v = ray_of_pixel(x, y, camera)

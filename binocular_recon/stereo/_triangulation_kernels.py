@@ -8,12 +8,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import ByteImage, FloatImage
 
 
-@kernel
+@inline_kernel
 def interpolate(
     grid: npt.NDArray[np.float32], first: float, second: float, third: float, values: FloatArray
 ) -> None:

@@ -124,6 +124,35 @@ def test_a_kernel_is_compiled_again_if_one_of_another_folder_changes(tmp_path: P
     assert printed == ['1 0', '22 0', '22 1']
 
 
+LINKS = """
+import hashlib
+import numpy as np
+from binocular_recon.stereo.filtering._filter_kernels import gradients_to_links as links
+rng = np.random.default_rng(0)
+data, east, south = (rng.random((33, width), np.float32) for width in (200, 199, 200))
+links(60 * data, east, south[:32], (10.0, 1.0, 1e-4), 0, 32)
+digest = hashlib.sha256(east.tobytes() + south.tobytes()).hexdigest()
+print(digest, sum(links.stats.cache_hits.values()))
+"""
+
+
+def test_compiled_and_loaded_kernels_give_the_same_bits(tmp_path: Path) -> None:
+    """One that calls another with sums whose order the compiler may choose."""
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
+    compiled, loaded = (
+        subprocess.run(
+            [sys.executable, '-c', LINKS],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for _ in range(2)
+    )
+    assert [compiled[1], loaded[1]] == ['0', '1']
+    assert compiled[0] == loaded[0]
+
+
 def double(values: np.ndarray, start: int, stop: int) -> None:
     """Double a part of an array."""
     values[start:stop] *= 2

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
@@ -82,7 +82,7 @@ def mark_peaks(
             peak[y, x] = best
 
 
-@kernel
+@inline_kernel
 def _same_rod(edges: FloatArray, i: int, j: int) -> bool:
     """Return whether the bands at two edges have the same two grey levels."""
     contrast = 0.5 * (abs(edges[i, STEP]) + abs(edges[j, STEP]))
@@ -93,7 +93,7 @@ def _same_rod(edges: FloatArray, i: int, j: int) -> bool:
     )
 
 
-@kernel
+@inline_kernel
 def _even_band(edges: FloatArray, i: int, j: int, middle: FloatImage) -> bool:
     """Return whether the band from edge i up to edge j has a uniform level, the right one."""
     level = 0.5 * (
@@ -140,7 +140,7 @@ def _nearest(
     return best
 
 
-@kernel
+@inline_kernel
 def _grow(
     edges: FloatArray,
     first: IntArray,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
 
@@ -29,7 +29,7 @@ MIN_FOCAL, MAX_FOCAL = 0.4, 5.0
 ALONG = 0.35
 
 
-@kernel
+@inline_kernel
 def off_plane(
     ends: FloatArray, apart_m: float, size: tuple[float, float]
 ) -> tuple[float, float, float]:
@@ -56,7 +56,7 @@ def off_plane(
     return -az * uy + cx * weight, az * ux + cy * weight, weight
 
 
-@kernel
+@inline_kernel
 def predict_rod(
     ends: FloatArray,
     place: tuple[float, float],
@@ -80,7 +80,7 @@ def predict_rod(
     return True
 
 
-@kernel
+@inline_kernel
 def _place(row: FloatArray, rods: tuple[int, int], r: int) -> tuple[float, float]:
     """Return the position of rod r relative to two others as `predict_rod` takes it."""
     first, last = rods
@@ -90,7 +90,7 @@ def _place(row: FloatArray, rods: tuple[int, int], r: int) -> tuple[float, float
     return (dx * ax + dz * az) / square, (dz * ax - dx * az) / math.sqrt(square)
 
 
-@kernel
+@inline_kernel
 def _match_track(
     track: FloatArray,
     predicted: FloatArray,
@@ -134,7 +134,7 @@ def _match_track(
     return explained, unexplained
 
 
-@kernel
+@inline_kernel
 def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
     """Return whether the track's first edge is off the predicted rod sideways."""
     j = 0
@@ -145,13 +145,13 @@ def _far(track: FloatArray, predicted: FloatArray, lateral: float) -> bool:
     return bool(off * off > lateral * lateral * (ax * ax + ay * ay))
 
 
-@kernel
+@inline_kernel
 def _taken(chosen: IntArray, track: int, count: int) -> bool:
     """Return whether one of the first ``count`` rods already has the track."""
     return bool((chosen[:count] == track).any())
 
 
-@kernel
+@inline_kernel
 def _neighbour_gap(
     ends: FloatArray,
     rods: tuple[int, int],

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
@@ -26,24 +26,24 @@ MIN_STRIPS, STRIPS_PER_PX = 8, 1.5
 BESIDE_PX = 3.0
 
 
-@kernel
+@inline_kernel
 def _phi(x: float) -> float:
     return 0.5 * math.erfc(-x * 0.7071067811865476)
 
 
-@kernel
+@inline_kernel
 def _density(x: float) -> float:
     return 0.3989422804014327 * math.exp(-0.5 * x * x)
 
 
-@kernel
+@inline_kernel
 def shading(v: float, s1: float, s2: float) -> float:
     """Return the brightness of a rod at v = -1..1 across."""
     sun = s1 * v + s2 * math.sqrt(max(0.0, 1 - v * v))
     return 1 + 0.5 * (sun + math.sqrt(sun * sun + ROUND * ROUND))
 
 
-@kernel
+@inline_kernel
 def _cut_strips(rod: FloatArray, strips: FloatArray) -> None:
     """Write start, brightness and its derivatives by S1, S2 of each strip: (n + 1, 4).
 
@@ -60,7 +60,7 @@ def _cut_strips(rod: FloatArray, strips: FloatArray) -> None:
     strips[count, 1:] = 0.0
 
 
-@kernel
+@inline_kernel
 def _row_model(
     offset: float,
     half: float,
@@ -102,7 +102,7 @@ def _row_model(
         slopes[i, 6], slopes[i, 7], slopes[i, 8] = by_half, by_s1, by_s2
 
 
-@kernel
+@inline_kernel
 def _solve3(m: FloatArray, rhs: FloatArray) -> bool:
     """Solve m x = rhs for symmetric positive m (3, 3), rhs (3, k), in place; False if singular."""
     for i in range(3):

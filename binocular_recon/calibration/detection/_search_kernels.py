@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from binocular_recon._jit import kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
@@ -20,7 +20,7 @@ BORDER_PX = 1.0
 OUTSIDE = -9.0
 
 
-@kernel
+@inline_kernel
 def _level(image: FloatImage, x: float, y: int) -> float:
     """Return the mean level of three pixels of a row; at the border for one outside."""
     last = image.shape[1] - 2
@@ -73,7 +73,7 @@ def centre_rod(
     line[1] += 0.5 * step * (best_high - best_low)
 
 
-@kernel
+@inline_kernel
 def _agreement(
     middle: FloatImage, x: float, y: float, up: tuple[float, float], levels: FloatArray
 ) -> float:

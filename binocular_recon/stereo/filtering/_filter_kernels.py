@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon.stereo.filtering._lattice_kernels import ZERO
 
 REACH = 3  # radius of the window in which the scatter of the data is taken, px
@@ -46,7 +46,7 @@ def all_whole(values: Array) -> bool:
     return True
 
 
-@kernel
+@inline_kernel
 def _absolute_difference(one: Array, other: Array, out: Array) -> None:
     for i in range(len(out)):
         difference = abs(one[i] - other[i])
@@ -62,7 +62,7 @@ def absolute_differences(values: Array, east: Array, south: Array, start: int, s
             _absolute_difference(values[y - start + 1], values[y - start], south[y])
 
 
-@kernel
+@inline_kernel
 def _gradient_to_link(
     one: Array, other: Array, link: Array, strength: float, steps: float, epsilon: float
 ) -> None:
@@ -92,13 +92,13 @@ def gradients_to_links(
             _gradient_to_link(data[y + 1], data[y], south[y], strength, steps, epsilon)
 
 
-@kernel
+@inline_kernel
 def _add(out: Array, values: Array) -> None:
     for i in range(len(out)):
         out[i] += values[i]
 
 
-@kernel
+@inline_kernel
 def _add_squares(measured: Array, filtered: Array, square: Array, count: Array) -> None:
     for i in range(len(measured)):
         difference = measured[i] - filtered[i]
@@ -107,14 +107,14 @@ def _add_squares(measured: Array, filtered: Array, square: Array, count: Array) 
         count[i] += np.float32(1) if valid else ZERO
 
 
-@kernel
+@inline_kernel
 def _sum_along_row(padded: Array, out: Array) -> None:
     out[:] = ZERO
     for shift in range(2 * REACH + 1):
         _add(out, padded[shift : shift + len(out)])
 
 
-@kernel
+@inline_kernel
 def _set_sigma(terms: SigmaTerms, y: int, squares: Array, counts: Array, out: Array) -> None:
     measured, level, hole = terms.measured[y], terms.confidence[y], terms.holes[y]
     one, unit, least = np.float32(1), np.float32(terms.unit), np.float32(terms.least)

@@ -174,7 +174,7 @@ def residual(lattice: Lattice, rhs: Vector, x: Vector, out: Vector, start: int, 
             store(out, k, load(rhs, k) + minus_product(lattice, x, k, ahead, back))
 
 
-@kernel
+@inline_kernel
 def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> None:
     """Copy a strip's matrix without negative links, so that the factors stay positive."""
     stride, links, zero = lattice.stride, lattice.links, splat(ZERO)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
-@kernel
+@inline_kernel
 def _add_candidate(
     candidate: Array, value: Array, hole: Array, squares: Array, counts: Array
 ) -> None:
@@ -23,7 +23,7 @@ def _add_candidate(
         counts[x] += _ONE if counted else _ZERO
 
 
-@kernel
+@inline_kernel
 def _keep_nearest(row: Array, candidate: Array) -> None:
     for x in range(len(row)):
         candidate[x] = candidate[x] if np.isnan(row[x]) else row[x]

@@ -73,7 +73,7 @@ class Paths(NamedTuple):
     padded: int
 
 
-@kernel
+@inline_kernel
 def _new_paths(width: int, padded: int) -> Paths:
     stride = padded + 1
     down = np.zeros((2, width * stride + 1), np.uint8)
@@ -98,7 +98,7 @@ def _extend(sums: Array, at: int, penalty: Any, limit: Any, least: Any, cost: An
     return smaller(smaller(load(sums, at), neighbours), limit) - least + cost
 
 
-@kernel
+@inline_kernel
 def _aggregate_across(
     paths: Paths, levels: Array, penalties: Penalties, disparities: int, y: int, rows: int
 ) -> None:
@@ -139,7 +139,7 @@ def _aggregate_across(
                 least[r, side] = smallest(next_least)
 
 
-@kernel
+@inline_kernel
 def _aggregate_down(
     paths: Paths, levels: Array, penalties: Penalties, y: int, row: int, total: Array
 ) -> None:
@@ -207,7 +207,7 @@ def match_strip(
             _select_row(paths.costs[r], total, have_scores, best, source.padded, selection, out)
 
 
-@kernel
+@inline_kernel
 def _select_row(
     costs: Array,
     total: Array,
@@ -272,7 +272,7 @@ def _select_row(
         disparity[x] = selection.min_disparity + index + offset
 
 
-@kernel
+@inline_kernel
 def _is_unique(total: Array, at: int, index: int, disparities: int, ratio: float) -> bool:
     """Return whether the best sum beats all but its neighbours' by ``ratio`` percent."""
     second = np.int64(SENTINEL)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel
 from binocular_recon._simd import (
     LANES,
     larger,
@@ -62,7 +62,7 @@ class CostRows(NamedTuple):
     highest: Array
 
 
-@kernel
+@inline_kernel
 def new_cost_rows(source: CostSource) -> CostRows:
     """Return the state before the first row."""
     big = source.big
@@ -76,7 +76,7 @@ def new_cost_rows(source: CostSource) -> CostRows:
     )
 
 
-@kernel
+@inline_kernel
 def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs: Array) -> Any:
     """Write the costs of row ``y`` to ``costs`` (W * padded); return which left pixels have any.
 
@@ -103,7 +103,7 @@ def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs:
     return rows.big.left_norm[1] > 0
 
 
-@kernel
+@inline_kernel
 def _set_gains(source: CostSource, rows: CostRows) -> None:
     """Set the gains and limits of each pixel, for the inner loop."""
     inner = (source.big.size - source.small.size) // 2
@@ -139,7 +139,7 @@ def _set_gains(source: CostSource, rows: CostRows) -> None:
         small_gain[x] = small_gain[x] if inverse[x] > zero else zero
 
 
-@kernel
+@inline_kernel
 def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Array) -> None:
     """Write the costs of a row at `LANES` disparities, from the ``k``-th on."""
     big = source.big

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, exact_kernel, kernel
+from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
 from binocular_recon._simd import LANES, load, splat, store
 
 NO_SCORE = np.float32(-1.75)  # below every score, above what overflows a key
@@ -65,7 +65,7 @@ class Products(NamedTuple):
     padded: int
 
 
-@kernel
+@inline_kernel
 def new_statistics(pair: PaddedPair) -> Statistics:
     """Return the sums before the first row."""
     width, right_width = pair.left.shape[1], pair.right.shape[1]
@@ -78,7 +78,7 @@ def new_statistics(pair: PaddedPair) -> Statistics:
     )
 
 
-@kernel
+@inline_kernel
 def new_products(pair: PaddedPair) -> Products:
     """Return the sums of products before the first row."""
     width = pair.left.shape[1]
@@ -87,7 +87,7 @@ def new_products(pair: PaddedPair) -> Products:
     return Products(np.full((pair.size + width) * padded, zero), np.full(padded, zero), padded)
 
 
-@kernel
+@inline_kernel
 def _slide(sums: Array, new: Array, old: Array, new_missing: Array, old_missing: Array) -> None:
     """Move column sums down by a row."""
     values, squares, missing = sums[0], sums[1], sums[2]
@@ -99,7 +99,7 @@ def _slide(sums: Array, new: Array, old: Array, new_missing: Array, old_missing:
         missing[i] += np.float32(new_missing[i]) - np.float32(old_missing[i])
 
 
-@kernel
+@inline_kernel
 def enter_row(pair: PaddedPair, statistics: Statistics, new: int, old: int) -> None:
     """Move the windows down: row ``new`` enters, row ``old`` leaves."""
     _slide(
@@ -166,7 +166,7 @@ def normalise_row(pair: PaddedPair, statistics: Statistics) -> None:
         bias[i] = zero if norm[i] > 0 else no_score
 
 
-@kernel
+@inline_kernel
 def score_columns(
     pair: PaddedPair,
     statistics: Statistics,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon.stereo.matching._ncc_kernels import PaddedPair
 
 MID_GREY = 128
@@ -55,7 +55,7 @@ def prepare_strip(
             _write_level(right[y, last - i], steps, pair.right, pair.right_missing, y, i)
 
 
-@kernel
+@inline_kernel
 def _write_level(level: float, steps: int, levels: Array, missing: Array, y: int, x: int) -> None:
     """Write a level in whole steps from mid grey; 0 where there is no data."""
     no_data = np.isnan(level)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, exact_kernel, kernel
+from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
 from binocular_recon._simd import LANES, larger, largest, load, shift_left, splat, store, to_int32
 from binocular_recon.stereo import _validity_kernels as reason
 from binocular_recon.stereo.matching._ncc_kernels import (
@@ -42,7 +42,7 @@ class Selection(NamedTuple):
     subpixel: bool
 
 
-@kernel
+@inline_kernel
 def _find_best(
     scores: Array, tags: Array, right_keys: Array, last: int, start: int, stop: int, keys: Array
 ) -> None:
@@ -60,13 +60,13 @@ def _find_best(
         keys[x] = largest(best)
 
 
-@kernel
+@inline_kernel
 def _index(key: Any) -> Any:
     """Return the index in a key; it is stored so that of equal scores the smaller index wins."""
     return MOST_INDICES - 1 - (key & (MOST_INDICES - 1))
 
 
-@kernel
+@inline_kernel
 def _is_unique(scores: Array, index: int, ratio: float) -> bool:
     """Return whether the best 1 - score beats all but its neighbours' by ``ratio`` percent."""
     second = NO_SCORE
@@ -80,7 +80,7 @@ def _is_unique(scores: Array, index: int, ratio: float) -> bool:
     return bool(beaten and best - second > LEAST_LEAD * ratio)
 
 
-@kernel
+@inline_kernel
 def _check(scores: Array, index: int, selection: Selection) -> Any:
     """Return `MEASURED`, or the reason why the best score of a pixel is not a match."""
     checked, ratio = selection.disp12_max_diff >= 0, selection.uniqueness_ratio
@@ -165,7 +165,7 @@ def select_strip(
                         validity[y, x - radius] = reason.CONFLICT
 
 
-@kernel
+@inline_kernel
 def _mask_unscored(
     scores: Array, norm: Array, size: int, start: int, stop: int, selection: Selection, padded: int
 ) -> None:
