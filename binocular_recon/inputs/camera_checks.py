@@ -46,6 +46,8 @@ _FAR_SHARE, _SCALES, _SAME = 0.15, (0.72, 1.4), 0.12
 # published rectifications of good data have 0.5 % and 3 mm. Rows are off by that share of the
 # disparity; from the second share on this is said.
 _MOST_ACROSS, _ACROSS, _MOST_AHEAD_M = 0.02, 1e-3, 0.01
+# Where P of a rectified pair is alike, files with few digits still agree to this.
+_APART_PX = 0.01
 # Baselines that rigs have, m.
 LEAST_BASELINE_M, LARGEST_BASELINE_M = 0.01, 20.0
 
@@ -269,6 +271,15 @@ def baseline_warnings(left_P: FloatArray, right_P: FloatArray) -> Iterator[str]:
             f'P[{1 - along}, 3] of left and right differ by {off:g} px m, so'
             f' {("rows", "columns")[along]} are off by {off / reach:.2%} of the disparity; rectify'
             ' again'
+        )
+    across = 1 - along
+    sides = ((along, along), (across, across), (across, 2))
+    apart_px = max(abs(left_P[place] - right_P[place]) for place in sides)
+    if apart_px > _APART_PX:
+        yield (
+            f'P of left and right differ by {apart_px:.2g} px where a rectified pair has the same'
+            ' (focal lengths, principal point across the baseline): they are of two calibrations;'
+            ' take both from one'
         )
     baseline_m = reach / right_P[along, along]
     if LEAST_BASELINE_M <= baseline_m <= LARGEST_BASELINE_M:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
@@ -15,8 +17,10 @@ from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.calibrations.formats.ros import camera_values
 from binocular_recon.io.calibrations.registry import formats_text, read_calibration
 from binocular_recon.io.calibrations.source import SourceFile
-from binocular_recon.io.files import complete_file
+from binocular_recon.io.files import complete_file, locked
 
+# Key of what left and right have in common, so that those of two calibrations are not mixed.
+_ID = 'calibration_id'
 # Subfolder that holds a new calibration until all its files have been moved to their places.
 PENDING = '.calibration.new'
 
@@ -61,10 +65,21 @@ def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
 
     """
     folder = Path(path)
-    paths = [_newest(folder, f'{side}.yaml') for side in ('left', 'right')]
-    if not any(one.exists() for one in paths):
-        return _foreign_rig(folder, rectified=rectified)
+    with locked(folder, shared=True):  # against one that is being saved
+        paths = [_newest(folder, f'{side}.yaml') for side in ('left', 'right')]
+        if any(one.exists() for one in paths):
+            return _own_rig(folder, paths, rectified=rectified)
+    return _foreign_rig(folder, rectified=rectified)
+
+
+def _own_rig(folder: Path, paths: list[Path], *, rectified: bool) -> StereoRig:
     cameras = [read_camera(path, rectified=rectified) for path in paths]
+    left, right = (SourceFile(path).content.get(_ID, 'none') for path in paths)
+    if left != right:
+        raise CalibrationError(
+            f'{paths[0]} and {paths[1].name} are of two calibrations ({_ID} {left} and {right});'
+            f' keep the files of one together, or delete both lines {_ID} if they belong together'
+        )
     json = _newest(folder, 'calibration.json')
     if any(camera.notices for camera in cameras) and rectified:  # K or D cannot be used
         return StereoRig(*cameras)
@@ -91,7 +106,7 @@ def _newest(folder: Path, name: str) -> Path:
     return pending / name if newer else folder / name
 
 
-def write_camera(path: Path, camera: Camera, name: str) -> None:
+def write_camera(path: Path, camera: Camera, name: str, calibration_id: str = '') -> None:
     """Write a camera file in full precision; raises a FileError if it cannot be written.
 
     Parameters
@@ -102,9 +117,11 @@ def write_camera(path: Path, camera: Camera, name: str) -> None:
         Calibrated camera.
     name : str
         Name of the camera; drivers compare it with their own.
+    calibration_id : str
+        What the files of both cameras have in common; it is not written if it is empty.
 
     """
-    content = {
+    content: dict[str, Any] = {
         'image_width': camera.width,
         'image_height': camera.height,
         'camera_name': name,
@@ -114,6 +131,8 @@ def write_camera(path: Path, camera: Camera, name: str) -> None:
         'rectification_matrix': _matrix(camera.R),
         'projection_matrix': _matrix(camera.P),
     }
+    if calibration_id:
+        content[_ID] = calibration_id
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000)
     with complete_file(path) as file:
         file.write(text.encode())
@@ -121,8 +140,13 @@ def write_camera(path: Path, camera: Camera, name: str) -> None:
 
 def write_rig(folder: Path, rig: StereoRig, names: tuple[str, str] = ('left', 'right')) -> None:
     """Write ``left.yaml`` and ``right.yaml`` to ``folder``, which must exist."""
+    digest = hashlib.sha256()
+    for camera in (rig.left, rig.right):
+        for values in (camera.K, camera.D, camera.R, camera.P):
+            digest.update(np.ascontiguousarray(values, '<f8').tobytes())
+    common = digest.hexdigest()[:16]
     for side, camera, name in zip(('left', 'right'), (rig.left, rig.right), names, strict=True):
-        write_camera(folder / f'{side}.yaml', camera, name)
+        write_camera(folder / f'{side}.yaml', camera, name, common)
 
 
 def _matrix(values: FloatArray) -> dict[str, Any]:

@@ -198,6 +198,17 @@ def test_baseline_in_other_units_is_doubted(tx: float, warning: str) -> None:
         assert re.search(warning, text)
 
 
+@pytest.mark.parametrize('place', [(0, 0), (1, 1), (1, 2)])
+def test_cameras_of_two_calibrations_are_said(place: tuple[int, int]) -> None:
+    """As when a driver has loaded the new file of one camera only."""
+    right = make_camera(tx=-400.0)
+    P = right.P.copy()
+    for off_px, said in ((0.004, False), (0.2, True)):
+        P[place] = right.P[place] + off_px
+        warnings = StereoRig(make_camera(), dataclasses.replace(right, P=P)).warnings
+        assert [('differ by 0.2 px' in text) for text in warnings] == [True] * said
+
+
 def test_rows_displaced_as_in_published_rectifications_are_said_but_used() -> None:
     """The colour cameras of KITTI 2011_09_26."""
     left, right = (

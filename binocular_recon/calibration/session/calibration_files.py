@@ -7,8 +7,11 @@ before are in ``previous/``.
 
 from __future__ import annotations
 
+import os
 import shutil
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from binocular_recon.calibration.report.report import render_report
@@ -17,11 +20,11 @@ from binocular_recon.calibration.session.board_images import draw_boards
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import PENDING, write_rig
-from binocular_recon.io.files import complete_file, flush, make_folder, write_json
+from binocular_recon.io.files import complete_file, flush, locked, make_folder, write_json
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
 PREVIOUS = 'previous'
-# A new calibration lies here until it is complete, then in `PENDING`.
+# A new calibration lies in `.PROCESS.*` with this end until it is complete, then in `PENDING`.
 _PARTIAL = '.calibration.part'
 
 
@@ -86,19 +89,24 @@ def save_rig(rig: StereoRig, folder: Path) -> tuple[Path, ...]:
 def _replace(folder: Path, write: Callable[[Path], None]) -> None:
     """Replace the calibration of a folder by the files that ``write`` writes to another one."""
     make_folder(folder)
-    finish_saving(folder)
-    partial = folder / _PARTIAL
+    partial = None
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        make_folder(partial)
+        partial = Path(tempfile.mkdtemp(_PARTIAL, f'.{os.getpid()}.', folder))
         write(partial)
+        partial.chmod(folder.stat().st_mode & 0o777)
         for path in partial.iterdir():
             flush(path)
         flush(partial)
-        partial.rename(folder / PENDING)
+        with locked(folder):
+            _finish(folder)
+            partial.rename(folder / PENDING)
+            _finish(folder)
+            _remove_abandoned(folder)
     except OSError as error:
         raise _failure(folder, error) from error
-    finish_saving(folder)
+    finally:
+        if partial is not None:
+            shutil.rmtree(partial, ignore_errors=True)
 
 
 def finish_saving(folder: Path) -> None:
@@ -112,27 +120,43 @@ def finish_saving(folder: Path) -> None:
         If the files cannot be moved.
 
     """
-    complete = folder / PENDING
+    if (folder / PENDING).is_dir():
+        try:
+            with locked(folder):
+                _finish(folder)
+        except OSError as error:
+            raise _failure(folder, error) from error
+
+
+def _finish(folder: Path) -> None:
+    complete, previous = folder / PENDING, folder / PREVIOUS
     if not complete.is_dir():
         return
-    previous = folder / PREVIOUS
-    try:
-        if (complete / FILES[0]).exists():  # so none has taken its place yet
-            for name in FILES:
-                if (folder / name).exists() and not (complete / name).exists():
-                    previous.mkdir(exist_ok=True)
-                    (folder / name).replace(previous / name)
+    if (complete / FILES[0]).exists():  # so none has taken its place yet
         for name in FILES:
-            # a file that has taken its place before the interruption is no longer here
-            if (complete / name).exists():
-                if (folder / name).exists():
-                    previous.mkdir(exist_ok=True)
-                    (folder / name).replace(previous / name)
-                (complete / name).replace(folder / name)
-        complete.rmdir()
-        flush(folder)
-    except OSError as error:
-        raise _failure(folder, error) from error
+            if (folder / name).exists() and not (complete / name).exists():
+                previous.mkdir(exist_ok=True)
+                (folder / name).replace(previous / name)
+    for name in FILES:
+        # a file that has taken its place before the interruption is no longer here
+        if (complete / name).exists():
+            if (folder / name).exists():
+                previous.mkdir(exist_ok=True)
+                (folder / name).replace(previous / name)
+            (complete / name).replace(folder / name)
+    complete.rmdir()
+    flush(folder)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove what killed processes left half written."""
+    for partial in folder.glob(f'.*{_PARTIAL}'):
+        with suppress(ValueError, OSError):
+            process = int(partial.name.split('.')[1])
+            try:
+                os.kill(process, 0)
+            except ProcessLookupError:
+                shutil.rmtree(partial, ignore_errors=True)
 
 
 def _failure(folder: Path, error: OSError) -> FileError:
