@@ -29,8 +29,8 @@ MARK_OFFSET_M, MARK_OFFSET_SIGMAS = 5e-4, 5.0
 RARE_SHARE = 0.4
 # A board that is certainly bent, by more than this share of its longer side, is pointed out.
 WARP_SIGMAS, WARP_SHARE = 3.0, 1e-3
-# Depth at the boards whose sigma exceeds this share of it is not calibrated.
-DEPTH_LIMIT = 0.1
+# Depth at the boards whose sigma exceeds these shares of it is poorly, or not, calibrated.
+DEPTH_WARNING, DEPTH_LIMIT = 0.02, 0.1
 
 
 def check_result(found: Estimate) -> None:
@@ -64,6 +64,14 @@ def warnings_of(found: Estimate, halves: SplitHalves) -> tuple[str, ...]:
     if not found.settled:
         warnings.append(
             'which marks to leave out was not settled; look for a board with many marks left out'
+        )
+    depth, sigma = _depth_sigma(found)
+    if sigma > DEPTH_WARNING * depth:
+        warnings.append(
+            f'one standard deviation of depth at the boards ({significant(depth)} m) is'
+            f' {significant(1e3 * sigma)} mm ({sigma / depth:.1%}; {DEPTH_WARNING:.0%} or less is'
+            ' usual); capture more boards, turned by 20 to 50 degrees to either side and at more'
+            ' distances'
         )
     warnings += _misplaced_marks(found) + _rarely_found(found) + _bent_board(found)
     for side in ('left', 'right'):
@@ -193,15 +201,21 @@ def _rarely_found(found: Estimate) -> list[str]:
 
 
 def _check_depth(found: Estimate) -> None:
+    depth, sigma = _depth_sigma(found)
+    if not sigma <= DEPTH_LIMIT * depth:
+        raise CalibrationError(
+            f'the boards do not determine depth: one standard deviation at {significant(depth)} m'
+            f' is {significant(sigma, 2)} m (limit {DEPTH_LIMIT:.0%}); capture more boards,'
+            ' turned by 20 to 50 degrees to either side and at more distances'
+        )
+
+
+def _depth_sigma(found: Estimate) -> tuple[float, float]:
+    """Return the median depth of the marks and its sigma over the view, m; 0 without a view."""
     depth = float(np.median(marks_in_left(found.state, found.problem.target)[..., 2]))
     points = field_of_view(found.state.calibration, depth)
     if not len(points):
-        return
-    sigma = depth_sigma_m(found.state.calibration, found.problem.free, found.covariance, points)
-    typical = float(np.sqrt(np.mean(sigma**2)))
-    if not typical <= DEPTH_LIMIT * depth:
-        raise CalibrationError(
-            f'the boards do not determine depth: one standard deviation at {significant(depth)} m'
-            f' is {significant(typical, 2)} m (limit {DEPTH_LIMIT:.0%}); capture more boards,'
-            ' turned by 20 to 50 degrees to either side and at more distances'
-        )
+        return depth, 0.0
+    calibration, free = found.state.calibration, found.problem.free
+    sigma = depth_sigma_m(calibration, free, found.covariance, points)
+    return depth, float(np.sqrt(np.mean(sigma**2)))

@@ -25,6 +25,7 @@ from binocular_recon.nodes.calibration.newest_pair import NewestPair
 from binocular_recon.nodes.calibration.steps import (
     check_still,
     describe_missing_marks,
+    describe_next_step,
     describe_result,
     describe_row_error,
     describe_size_change,
@@ -163,7 +164,7 @@ class CalibrationServices:
             self._result = result
             self._on_state('calibration', f'{len(result.names)} boards, not saved yet')
             seconds = time.monotonic() - begun_s
-            return f'{describe_result(result)}; took {seconds:.0f} s; call save to keep it'
+            return f'{describe_result(result)}; took {seconds:.0f} s; {describe_next_step(result)}'
 
     def save(self) -> str:
         """Write the calibration and pass it to the cameras."""

@@ -112,15 +112,25 @@ def describe_row_error(rig: StereoRig | None, capture: Capture) -> str:
 
 
 def describe_result(result: CalibrationResult) -> str:
-    """Return the figures of a calibration and the next advice in one sentence."""
+    """Return the figures of a calibration, its warnings and the next advice in one sentence."""
     calibration, sigma = result.calibration, result.sigma
     depth_mm = 1e3 * result.depth_sigma_m(15.0)
-    left_out = '; '.join(f'{board.name} left out: {board.reason}' for board in result.rejected)
-    doubt = f'; {result.halves.warning}' if result.halves.warning else ''
-    advice = f'; next: {result.advice[0]}' if result.advice else ''
-    return (
+    figures = (
         f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
         f' baseline {1e3 * calibration.baseline_m:.1f} +-'
         f' {significant(1e3 * sigma["baseline_m"], 2)} mm, depth sigma {depth_mm:.0f} mm at 15 m'
-        f'{"; " + left_out if left_out else ""}{doubt}{advice}'
     )
+    parts = [figures]
+    parts += [f'{board.name} left out: {board.reason}' for board in result.rejected]
+    parts += [f'warning: {warning}' for warning in result.warnings]
+    parts += [f'next: {advice}' for advice in result.advice[:1]]
+    return '; '.join(parts)
+
+
+def describe_next_step(result: CalibrationResult) -> str:
+    """Say whether a calibration is ready to be saved."""
+    if not result.warnings:
+        return 'call save to keep it'
+    count = len(result.warnings)
+    what = 'the warning' if count == 1 else f'the {count} warnings'
+    return f'settle {what} and calibrate again, or call save to keep it as it is'

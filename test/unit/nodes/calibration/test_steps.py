@@ -6,17 +6,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.nodes.calibration.steps import (
     check_still,
+    describe_next_step,
+    describe_result,
     describe_size_change,
     detect_pair,
 )
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
+from test.calibration_tools import SIZE, captures_of, solved, wrong_board
 
 BOARD = paper_board()
 
@@ -44,3 +48,24 @@ def test_images_must_keep_their_size() -> None:
         'the images are 480x300 px, those of earlier boards 960x600 px; restore the camera'
         ' settings, or reset and start again'
     )
+
+
+def test_the_answer_of_calibrate_carries_every_warning_and_only_then_doubts_it() -> None:
+    board = wrong_board(marks=[0.3, 0.6, 0.904, 1.2, 1.5, 1.8])
+    poor = calibrate(captures_of(boards=4, seed=3), board, SIZE)
+    answer = describe_result(poor)
+    for fault in (
+        'warning: 4 boards were used; depth is better known with 11 or more',
+        'warning: one standard deviation of depth at the boards (12.',
+        'capture more boards, turned by 20 to 50 degrees',
+        'warning: mark 3 sits about -',
+    ):
+        assert fault in answer
+    assert answer.count('warning: ') == len(poor.warnings)
+    assert describe_next_step(poor) == (
+        f'settle the {len(poor.warnings)} warnings and calibrate again, or call save to keep it'
+        ' as it is'
+    )
+    good = solved(0.005)
+    assert good.warnings == () and 'warning' not in describe_result(good)
+    assert describe_next_step(good) == 'call save to keep it'
