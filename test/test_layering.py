@@ -47,6 +47,7 @@ ROOMS = [
     {'calibration.rectification'},
     {
         'calibration.advice',
+        'calibration.holding',
         'calibration.result',
         'calibration.screening',
         'calibration.solve',

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from binocular_recon.apps.progress import ProgressBar
+from binocular_recon.calibration.holding import check_holding
 from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, lens_text
 from binocular_recon.calibration.result import DEPTHS_M, CalibrationResult
 from binocular_recon.calibration.screening import Rejected
@@ -21,9 +22,11 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
+from binocular_recon.camera import StereoRig
 from binocular_recon.cli.options import add_output_option, image_size, positive
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import CalibrationError, ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
+from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
 from binocular_recon.number_text import significant
@@ -80,11 +83,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='N',
         help='number of draws per set for --self-check (%(default)s)',
     )
-    add_output_option(parser)
+    parser.add_argument(
+        '--check', type=Path, metavar='RIG',
+        help='instead of calibrating: check whether the calibration in the folder RIG still holds'
+        ' for these boards; exit status 1 if it does not',
+    )  # fmt: skip
+    add_output_option(parser, required=False)
 
 
 def run(args: argparse.Namespace) -> None:
     """Calibrate; write ``left.yaml``, ``right.yaml``, ``calibration.json``, ``report.html``."""
+    _check(args)
     if args.self_check:
         make_folder(args.output)
         report = functools.partial(print, flush=True)
@@ -92,8 +101,10 @@ def run(args: argparse.Namespace) -> None:
         write_json(args.output / 'self_check.json', rows)
         print(f'{args.output / "self_check.json"} ({seconds:.0f} s)')
         return
-    _check(args)
     read_marks = _read_points if args.points else _detect_marks
+    if args.check:
+        _check_holding(read_rig(args.check), read_marks(args))
+        return
     (captures, target, size, rejected), marks_s = _timed(lambda: read_marks(args))
     result, solve_s = _timed(
         lambda: calibrate(captures, target, size, lens=args.lens, rejected=rejected)
@@ -147,7 +158,13 @@ def summary(result: CalibrationResult) -> str:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Raise a ConfigError for arguments that contradict each other."""
+    """Raise a ConfigError for arguments that are missing or contradict each other."""
+    if args.output is None and not args.check:
+        raise ConfigError('give --output DIR, the folder for the results')
+    if args.check and (args.output or args.self_check):
+        raise ConfigError('--check writes nothing; give it without --output and --self-check')
+    if args.self_check:
+        return
     if (args.captures is None) == (args.points is None):
         raise ConfigError('give either a folder of images or --points FILE.csv')
     if args.points and args.rods:
@@ -156,6 +173,20 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError('images of rods need --rods rods.yaml')
     if args.captures and args.image_size:
         raise ConfigError('--image-size belongs to --points; images have their own size')
+
+
+def _check_holding(rig: StereoRig, marks: _Marks) -> None:
+    """Print how well a calibration explains new marks; raise a CalibrationError if it does not."""
+    holding = check_holding(rig, marks.captures, marks.target, marks.size)
+    for board in (*marks.rejected, *holding.left_out):
+        print(f'left out: {board.name}: {board.reason}')
+    print(f'{holding.boards} boards, {holding.marks} marks: {holding}')
+    if holding.faults:
+        raise CalibrationError(
+            f'the calibration does not hold: {"; ".join(holding.faults)}; check the heights of the'
+            ' marks in the description of the target, else calibrate again'
+        )
+    print('the calibration holds')
 
 
 def _detect_marks(args: argparse.Namespace) -> _Marks:

@@ -31,14 +31,18 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def add_output_option(
-    parser: argparse.ArgumentParser, default: str = '', content: str = 'the results'
+    parser: argparse.ArgumentParser,
+    default: str = '',
+    content: str = 'the results',
+    *,
+    required: bool = True,
 ) -> None:
-    """Declare ``--output DIR``, required if there is no default."""
+    """Declare ``--output DIR``, required if there is no default unless stated otherwise."""
     parser.add_argument(
         '--output',
         type=Path,
         default=Path(default) if default else None,
-        required=not default,
+        required=required and not default,
         metavar='DIR',
         help=f'folder for {content}' + (' (%(default)s)' if default else ''),
     )

@@ -24,10 +24,10 @@ from binocular_recon.errors import BinocularReconError, CalibrationError
 from binocular_recon.nodes.calibration.newest_pair import NewestPair
 from binocular_recon.nodes.calibration.steps import (
     check_still,
+    describe_holding,
     describe_missing_marks,
     describe_next_step,
     describe_result,
-    describe_row_error,
     describe_size_change,
     detect_pair,
 )
@@ -58,7 +58,7 @@ class CalibrationServices:
     lens : str
         Lens of both cameras, one of `calibration.model.calibrated_lenses`.
     rig_in_use : StereoRig or None
-        Calibration whose row error captures report.
+        Calibration that captures are compared with.
     explain_silence : callable
         Returns why no image pairs arrive, '' while they do.
     on_state : callable
@@ -123,9 +123,10 @@ class CalibrationServices:
             count = len(self._store.names)
             self._on_state('boards', str(count))
             both = found[0].found & found[1].found
+            holding = describe_holding(self._rig_in_use, capture, pair.size, self._board)
             return (
                 f'board {name} captured ({count} so far): {both.sum()} of {both.size} marks in'
-                f' both images{missing}{describe_row_error(self._rig_in_use, capture)}{remark}'
+                f' both images{missing}{holding}{remark}'
             )
 
     def undo(self) -> str:

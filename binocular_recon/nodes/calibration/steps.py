@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 
 from binocular_recon.calibration.detection.detect import Detection, detect_rods
+from binocular_recon.calibration.holding import check_holding
 from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.screening import displacement_px
 from binocular_recon.calibration.target.capture import Capture
@@ -16,7 +17,6 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.number_text import significant
-from binocular_recon.stereo.rectification import rectified_points
 
 # Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
 STILL_PX = 0.5
@@ -97,18 +97,17 @@ def describe_missing_marks(found: tuple[Detection, Detection]) -> str:
     return f'; {"; ".join(messages)}' if messages else ''
 
 
-def describe_row_error(rig: StereoRig | None, capture: Capture) -> str:
-    """Say how well the calibration in use rectifies the marks, '' if there is none."""
+def describe_holding(
+    rig: StereoRig | None, capture: Capture, size: tuple[int, int], board: RodBoard
+) -> str:
+    """Say how well the calibration in use explains the marks, '' if there is none."""
     if rig is None:
         return ''
-    rows = [
-        rectified_points(camera, pixels.reshape(-1, 2))[:, 1]
-        for camera, pixels in ((rig.left, capture.left_px), (rig.right, capture.right_px))
-    ]
-    return (
-        '; with the calibration in use, rows differ by'
-        f' {np.nanmean(np.abs(rows[0] - rows[1])):.2f} px'
-    )
+    try:
+        holding = check_holding(rig, [capture], board, size)
+    except CalibrationError as error:
+        return f'; the calibration in use cannot be checked: {error}'
+    return '; '.join(['', f'with the calibration in use, {holding}', *holding.faults])
 
 
 def describe_result(result: CalibrationResult) -> str:

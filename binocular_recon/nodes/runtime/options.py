@@ -186,6 +186,6 @@ class RodOptions(Options):
     calibration: str = option(
         '',
         'Folder with left.yaml and right.yaml, or the calibration of another program; capture'
-        ' then reports by how many rows the marks differ after rectification with it. Empty: it'
-        ' does not',
+        ' then reports by how many rows the marks differ after rectification with it and how far'
+        ' lengths are off. Empty: it does not',
     )

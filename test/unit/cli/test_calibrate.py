@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from base64 import b64decode
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 
+from binocular_recon.calibration.rectification.metric_rectification import metric_rig
 from binocular_recon.calibration.session.captures import find_boards, read_board, read_captures
 from binocular_recon.calibration.target.rods import save_rods
 from binocular_recon.cli.main import main
 from binocular_recon.evaluation.calibration import self_check as calibration_check
-from binocular_recon.evaluation.calibration.self_check import AccuracyRow, RowsRow
-from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.evaluation.calibration.self_check import (
+    AccuracyRow,
+    RowsRow,
+    true_calibration,
+)
+from binocular_recon.io.calibration_yaml import read_rig, write_camera
+from binocular_recon.rotations import rotation
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
@@ -94,6 +102,25 @@ def test_images_to_a_calibrated_rig(
     _check_images((output / 'report.html').read_text(), content)
 
 
+def test_an_old_calibration_is_checked_with_new_boards(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It holds, whatever one bad board says, until a camera turns."""
+    for side in ('left', 'right'):
+        for name in ('0', '1', 'moved'):
+            shutil.copy(images / f'{side}_{name}.png', tmp_path)
+    (tmp_path / 'rig').mkdir()
+    rig = metric_rig(true_calibration(RIG))
+    for side, camera in (('left', rig.left), ('right', rig.right)):
+        write_camera(tmp_path / 'rig' / f'{side}.yaml', camera, side)
+    args = tmp_path, '--rods', images / 'rods.yaml', '--check', tmp_path / 'rig'
+    assert calibrate(*args) == 0
+    text = capsys.readouterr().out
+    assert 'left out: moved: its rows or lengths differ from those of most boards' in text
+    assert text.startswith('2 boards, ') or '\n2 boards, ' in text
+    assert text.endswith('the calibration holds\n')
+
+
 def _check_images(report: str, content: dict[str, Any]) -> None:
     """Every board with a readable image is shown, the marks of those used in green."""
     assert '<svg' in report
@@ -116,9 +143,29 @@ def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     # 0.215 px with the board taken as flat
     assert content['rms_px'] == pytest.approx(0.208, rel=0.01)
     assert content['baseline_m'] == pytest.approx(0.0832, rel=0.02)
+    _check_later_points(tmp_path, capsys)
     size = ('--image-size', '644x482')
     assert calibrate('--points', CHESSBOARD, *size, '--output', tmp_path) == 0
     assert read_rig(tmp_path).left.size == (644, 482)
+
+
+def _check_later_points(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Check the calibration with its own boards, then once a camera has turned."""
+    check = '--points', CHESSBOARD, '--check', rig
+    assert calibrate(*check) == 0
+    assert 'the calibration holds' in capsys.readouterr().out
+    camera = yaml.safe_load((rig / 'right.yaml').read_text())
+    turned = rotation(np.array([4e-3, 0, 0])) @ np.reshape(
+        camera['rectification_matrix']['data'], (3, 3)
+    )
+    camera['rectification_matrix']['data'] = turned.ravel().tolist()
+    (rig / 'right.yaml').write_text(yaml.safe_dump(camera))
+    (rig / 'calibration.json').unlink()
+    assert calibrate(*check) == 1
+    error = capsys.readouterr().err
+    # 4 mrad of f = 535 px, resampled to 480 px
+    assert 'the calibration does not hold: rows differ by 1.9' in error
+    assert 'else calibrate again' in error
 
 
 def test_self_check_tells_and_writes_its_rows(
@@ -202,6 +249,25 @@ def test_problems_with_the_input(
     for name in ('left_0.png', 'right_0.png', 'left_6.png'):
         (few / name).write_bytes((images / name).read_bytes())
     refused(few, '1 of 2 boards can be used and at least 3 are needed; capture 2 more')
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        (('--self-check',), 'give --output DIR'),
+        (
+            ('DIR', '--rods', 'x.yaml', '--check', 'rig', '--output', 'out'),
+            '--check writes nothing',
+        ),
+        (('--check', 'rig', '--self-check'), '--check writes nothing'),
+        (('--check', 'rig'), 'give either a folder of images or --points'),
+    ],
+)
+def test_output_and_check_exclude_each_other(
+    args: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrate(*args) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_boards_are_found_by_name(tmp_path: Path) -> None:

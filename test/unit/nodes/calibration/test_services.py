@@ -105,6 +105,10 @@ def test_a_capture_states_the_row_error_of_the_calibration_in_use(
     _, found, answer = crew.capture().partition('; with the calibration in use, rows differ by ')
     assert found
     assert float(answer.partition(' px')[0]) < 0.3  # the true calibration
+    assert ' without noise) and lengths at ' in answer and ' % off, sigma ' in answer
+    small = Crew(tmp_path / 'other', rig_in_use=survey_rig().stereo_rig())
+    small.pairs.put(pair)
+    assert 'the calibration in use cannot be checked: the images are 960x600 px' in small.capture()
 
 
 def test_a_service_that_would_wait_for_another_is_busy(tmp_path: Path, pair: ImagePair) -> None:
