@@ -18,6 +18,7 @@ from binocular_recon.options import check_option
 from test.conftest import REPOSITORY
 from test.launch_tools import CHAIN, REPLAY, Node, SetEnvironmentVariable, launched, launched_nodes
 
+CALIBRATION = REPOSITORY / 'launch' / 'calibration.launch.py'
 pytestmark = pytest.mark.ros
 
 
@@ -226,18 +227,20 @@ def test_empty_arguments_count_as_not_given() -> None:
     )
 
 
+@pytest.mark.parametrize('path', [CHAIN, CALIBRATION])
 @pytest.mark.parametrize(('distribution', 'name'), [('jazzy', 'FASTRTPS'), ('kilted', 'FASTDDS')])
 def test_shared_memory_unless_the_user_has_a_profile(
-    monkeypatch: pytest.MonkeyPatch, distribution: str, name: str
+    monkeypatch: pytest.MonkeyPatch, distribution: str, name: str, path: Path
 ) -> None:
     monkeypatch.setenv('ROS_DISTRO', distribution)
-    _, actions = launched(CHAIN)
+    _, actions = launched(path)
+    assert isinstance(actions[0], SetEnvironmentVariable), 'before the nodes that it is for'
     (profile,) = [a.positional for a in actions if isinstance(a, SetEnvironmentVariable)]
     assert profile[0] == f'{name}_DEFAULT_PROFILES_FILE' and Path(profile[1]).is_file()
-    _, actions = launched(CHAIN, dds_profile='')
+    _, actions = launched(path, dds_profile='')
     assert not any(isinstance(action, SetEnvironmentVariable) for action in actions)
     monkeypatch.setenv('FASTDDS_DEFAULT_PROFILES_FILE', 'mine.xml')
-    _, actions = launched(CHAIN)
+    _, actions = launched(path)
     assert not any(isinstance(action, SetEnvironmentVariable) for action in actions)
 
 
@@ -262,13 +265,38 @@ def test_replay_plays_into_the_chain() -> None:
     assert player.arguments == ['some.bag', '--rate', '1.0']
 
 
+def test_calibration_takes_the_options_of_its_node() -> None:
+    from binocular_recon.nodes.registry import node_class
+
+    node = node_class('calibration_node')
+    own = {'namespace', 'params_file', 'use_sim_time', 'dds_profile'}
+    arguments, _ = launched(CALIBRATION)
+    assert set(arguments) - own == set(options(node))
+    assert all(len(argument.description) > 15 for argument in arguments.values())
+    given = {
+        'namespace': '/rig/',
+        'rods': 'rods.yaml',
+        'output': '2026',
+        'approximate_sync': 'true',
+        'params_file': 'mine.yaml',
+    }
+    (started,) = (a for a in launched(CALIBRATION, **given)[1] if isinstance(a, Node))
+    assert (started.package, started.executable) == ('binocular_recon', 'calibration_node')
+    assert started.namespace == 'rig' and started.parameters == [
+        'mine.yaml',
+        {'rods': 'rods.yaml', 'output': '2026', 'approximate_sync': True, 'use_sim_time': False},
+    ]
+    with pytest.raises(ConfigError, match='lens must be one of'):
+        launched(CALIBRATION, lens='wide')
+
+
 @pytest.mark.skipif(importlib.util.find_spec('launch_ros') is None, reason='launch_ros is missing')
 def test_launch_accepts_the_files(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split('.')[0] in ('launch', 'launch_ros')]:
         monkeypatch.delitem(sys.modules, name)
     from launch import LaunchContext  # type: ignore[attr-defined]
 
-    for path in (CHAIN, REPLAY):
+    for path in (CHAIN, REPLAY, CALIBRATION):
         description = runpy.run_path(str(path))['generate_launch_description']()
         context = LaunchContext()
         context.launch_configurations['bag'] = 'some.bag'

@@ -125,7 +125,7 @@ class CalibrationNode(FrameNode):
         silent = self.health.silent()
         topics = [topic for topic in silent if topic in self._inputs]
         if topics:
-            return f'no messages on {", ".join(topics)}'
+            return self.health.loss() or f'no messages on {", ".join(topics)}'
         return self.explain_missing_frames() if silent else ''
 
     def _publish_detections(self, job: tuple[ImagePair, Header]) -> None:

@@ -100,6 +100,8 @@ def create_input(
 ) -> Any:
     """Create the subscription of an input: sensor data QoS unless overridden.
 
+    Messages that the middleware knows to be lost on their way are reported to ``health``.
+
     The topic of compressed images follows from the remapped name of the raw ones. Raises a
     ConfigError if a QoS override is not valid.
     """
@@ -107,16 +109,24 @@ def create_input(
     if source.transported and compressed:
         topic, kind = f'{node.resolve_topic_name(topic)}/compressed', CompressedImage
     qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    explain = _mismatch_reporter(node, topic, qos, health, publishes=False)
+    events = SubscriptionEventCallbacks(
+        incompatible_qos=_mismatch_reporter(node, topic, qos, health, publishes=False),
+        message_lost=lambda event: health.lost(source.topic, event.total_count_change),
+    )
+    create = functools.partial(
+        node.create_subscription,
+        kind,
+        topic,
+        callback,
+        qos,
+        qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+    )
     try:
-        return node.create_subscription(
-            kind,
-            topic,
-            callback,
-            qos,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=explain),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        try:
+            return create(event_callbacks=events)
+        except UnsupportedEventTypeError:
+            events.message_lost = None
+            return create(event_callbacks=events)
     except (InvalidQosOverridesError, RuntimeError) as error:
         raise ConfigError(f'input {topic}: {error}') from error
 

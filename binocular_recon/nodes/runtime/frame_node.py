@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,6 +18,7 @@ from binocular_recon.io.messages.camera_infos import calibration_content, rig_fr
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.base_node import BaseNode
 from binocular_recon.nodes.runtime.endpoints import Input, create_input
+from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
@@ -134,9 +135,11 @@ class FrameNode(BaseNode):
         if len(silent) == len(required):
             level = DiagnosticStatus.STALE
             text = f'no messages on {", ".join(silent)}; start the cameras or check the remappings'
+            text += self._explain_published(silent)
         elif silent:
             since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
             text = f'no messages on {since}; check their source (node, camera, cable)'
+            text += self._explain_published(silent)
         elif _SETS in ages_s:
             text = self.explain_missing_frames()
         elif too_late := self._explain_lateness():
@@ -155,6 +158,8 @@ class FrameNode(BaseNode):
 
     def explain_missing_frames(self) -> str:
         """Say why there are no complete frames although every required input has messages."""
+        if loss := self.health.loss():
+            return loss
         silent = self.health.silent()
         unused = [t for t in self._optional if t in silent and self._is_published(t)]
         if unused:
@@ -209,6 +214,21 @@ class FrameNode(BaseNode):
             f'messages on {", ".join(needed)} arrive too late: their partners had already been'
             f' dropped; raise queue_size to at least {max(needed.values())}'
         )
+
+    def _explain_published(self, silent: Collection[str]) -> str:
+        """Say what else a silent topic may mean if somebody publishes images on it, or ''."""
+        published = [
+            topic
+            for (topic, one), subscription in zip(
+                self._inputs.items(), self._subscriptions_in_use, strict=True
+            )
+            if topic in silent
+            and one.transported
+            and self.count_publishers(subscription.topic_name) > 0
+        ]
+        if not published:
+            return ''
+        return f'; if images are sent on {", ".join(published)}, all are lost: {SHARED_MEMORY}'
 
     def _is_published(self, optional: str) -> bool:
         return self.count_publishers(self._optional[optional]) > 0

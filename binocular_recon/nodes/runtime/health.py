@@ -16,6 +16,15 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 # How often a problem is repeated in the log, and for how long it stays in the status.
 _LOG_EVERY_S = 5.0
 _REMEMBERED_S = 3.0
+# How long a loss of messages explains what is missing.
+_LOSS_EXPLAINS_S = 10.0
+# With Fast DDS's defaults an image goes through UDP in fragments, and one lost fragment loses it.
+# What counts is the shared memory of the process that sends.
+SHARED_MEMORY = (
+    'start the process that publishes them with the Fast DDS profile'
+    ' config/fastdds_shared_memory.xml (environment variable FASTDDS_DEFAULT_PROFILES_FILE, on'
+    ' Jazzy FASTRTPS_DEFAULT_PROFILES_FILE); from another machine take compressed images'
+)
 # Problems whose texts differ only in numbers are of one kind; at most so many are remembered.
 _NUMBER = re.compile(r'\d+(\.\d+)?')
 _KINDS = 100
@@ -51,6 +60,7 @@ class Health:
         self._received: Counter[str] = Counter()
         self._published: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
+        self._lost: dict[str, tuple[int, float]] = {}
         self._arrivals: dict[str, _Arrivals] = {}
         self._durations_s: deque[float] = deque(maxlen=30)
         self._facts: dict[str, str] = {}
@@ -74,6 +84,28 @@ class Health:
         """Count received messages or frames that are not used."""
         with self._lock:
             self._dropped[reason] += count
+
+    def lost(self, topic: str, count: int) -> None:
+        """Count messages of a topic that were lost on their way, and name the remedy."""
+        self.dropped(f'{topic} lost in transport', count)
+        with self._lock:
+            self._lost[topic] = self._lost.get(topic, (0, 0.0))[0] + count, self._clock()
+        self.warning(self.loss())
+
+    def loss(self) -> str:
+        """Say how many messages were lost on their way and what to do; '' if none was lately."""
+        with self._lock:
+            now = self._clock()
+            lately = {
+                topic: count
+                for topic, (count, since) in self._lost.items()
+                if now - since <= _LOSS_EXPLAINS_S
+            }
+            shares = ', '.join(
+                f'{count} of {count + self._received[topic]} on {topic}'
+                for topic, count in lately.items()
+            )
+        return f'messages are lost in transport: {shares}; {SHARED_MEMORY}' if lately else ''
 
     def processed(self, seconds: float) -> None:
         """Record how long a frame took."""

@@ -57,7 +57,10 @@ def test_an_internal_error_is_counted_and_reported_while_the_node_runs(running: 
 
 
 def missing_frames(
-    feed: Callable[[Synchronizer], None], silent: dict[str, float], confidence_publishers: int
+    feed: Callable[[Synchronizer], None],
+    silent: dict[str, float],
+    confidence_publishers: int,
+    loss: str = '',
 ) -> str:
     """Return why there are no frames of images, disparities and optional confidences."""
     from binocular_recon.nodes.runtime.frame_node import FrameNode
@@ -70,7 +73,7 @@ def missing_frames(
     node._synchronizer = Synchronizer(names, queue_size=5)
     node._synchronizer.expect('confidence', expected=confidence_publishers > 0)
     node.options = Mock(of=lambda _: InputOptions())
-    node.health = Mock(silent=lambda: silent)
+    node.health = Mock(silent=lambda: silent, loss=lambda: loss)
     node.count_publishers = lambda _: confidence_publishers
     feed(node._synchronizer)
     return FrameNode.explain_missing_frames(node)
@@ -144,6 +147,11 @@ def test_why_there_are_no_frames(
     assert missing_frames(feed, silent, publishers) == text
 
 
+def test_losses_in_transport_come_before_what_they_cause() -> None:
+    loss = 'messages are lost in transport: 12 of 19 on left'
+    assert missing_frames(partial(add, miss_ns=50_000_000), {}, 0, loss) == loss
+
+
 def test_the_remedy_for_a_constant_is_a_parameter() -> None:
     from binocular_recon.inputs.clocks import Mismatch
     from binocular_recon.nodes.runtime.frame_node import FrameNode
@@ -169,6 +177,8 @@ def test_the_remedy_for_a_constant_is_a_parameter() -> None:
             'no messages on disparity for 4.0 s; check',
         ),
         ({'left': 4.0, 'disparity': 4.0}, '', 'STALE', 'no messages on left, disparity; start'),
+        # an image that has a publisher may be lost on its way
+        ({'left': 4.0}, '', 'ERROR', '; if images are sent on left, all are lost: start the pro'),
         ({'sets': 4.0}, 'arrive too late', 'ERROR', 'arrive too late'),
     ],
 )
@@ -181,11 +191,13 @@ def test_what_prevents_frames(
     from binocular_recon.nodes.runtime.frame_node import FrameNode
 
     node: Any = object.__new__(FrameNode)
-    node._processed, node._superseded, node._subscriptions_in_use = 7, 0, [Mock()]
-    node._inputs = dict.fromkeys(('left', 'disparity', 'confidence'))
+    node._processed, node._superseded, node._subscriptions_in_use = 7, 0, [Mock()] * 3
+    node._inputs = {
+        name: Mock(transported=name == 'left') for name in ('left', 'disparity', 'confidence')
+    }
     node._optional = {'confidence': '/rig/confidence'}
     node.count_publishers = lambda _: 1
-    node.health = Mock(silent=lambda: ages_s)
+    node.health = Mock(silent=lambda: ages_s, loss=lambda: '')
     node._explain_lateness = lambda: too_late
     node._synchronizer = Synchronizer(['left'], queue_size=5)
     reported = FrameNode.condition(node)

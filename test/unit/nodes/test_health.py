@@ -111,3 +111,27 @@ def test_silence_is_measured_against_the_interval(health: Any, clock: Clock) -> 
     assert 'left' in health.silent()
     health.expect(['left'])
     assert health.silent() == {}
+
+
+def test_a_loss_in_transport_is_counted_explained_and_forgotten(
+    health: Any, log: Log, clock: Clock
+) -> None:
+    assert health.loss() == ''
+    for _ in range(7):
+        health.received('left/image_raw')
+    health.lost('left/image_raw', 12)
+    text = health.loss()
+    assert text.startswith('messages are lost in transport: 12 of 19 on left/image_raw; start the')
+    assert 'config/fastdds_shared_memory.xml' in text
+    assert 'FASTDDS_DEFAULT_PROFILES_FILE' in text and 'compressed' in text
+    made = status(health)
+    assert made.level == made.WARN and made.message == text
+    assert 'dropped: left/image_raw lost in transport' in {item.key for item in made.values}
+    health.lost('right/image_raw', 1)
+    assert '12 of 19 on left/image_raw, 1 of 1 on right/image_raw;' in health.loss()
+    for _ in range(20):
+        clock.now += 0.1
+        health.lost('left/image_raw', 1)
+    assert len(log.warnings) <= 3, 'throttled'
+    clock.now += 11
+    assert health.loss() == ''

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rod calibration in the field: `calibration_node`, with images in shared memory.
+
+Without an argument every option keeps its node's default; see `ros2 launch --show-args`. The
+process of the cameras needs the same Fast DDS profile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import runpy
+from pathlib import Path
+from typing import Any
+
+import yaml
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch_ros.actions import Node
+
+from binocular_recon.nodes.runtime.options import InputOptions, RodOptions
+
+# What launch files share: how options become arguments, and the profile of DDS.
+CHAIN = runpy.run_path(str(Path(__file__).with_name('binocular_recon.launch.py')))
+ARGUMENTS = {
+    name: CHAIN['ARGUMENTS'][name]
+    for name in ('namespace', 'params_file', 'use_sim_time', 'dds_profile')
+}
+SPECS = [spec for group in (RodOptions, InputOptions) for spec in dataclasses.fields(group)]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments and start the node."""
+    arguments = ARGUMENTS | {spec.name: ('', CHAIN['_describe'](spec)) for spec in SPECS}
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, (default, description) in arguments.items()
+            ),
+            OpaqueFunction(function=_start),
+        ]
+    )
+
+
+def _start(context: LaunchContext) -> list[Any]:
+    """Return the node with the arguments that were given."""
+    given = {name: value for name, value in context.launch_configurations.items() if value}
+    values = {
+        spec.name: CHAIN['_value'](spec, given[spec.name]) for spec in SPECS if spec.name in given
+    }
+    values['use_sim_time'] = yaml.safe_load(given.get('use_sim_time', 'false'))
+    files = [given['params_file']] if 'params_file' in given else []
+    node = Node(
+        package='binocular_recon',
+        executable='calibration_node',
+        namespace=given.get('namespace', '').strip('/'),
+        parameters=[*files, values],
+        output='screen',
+    )
+    profile = given.get('dds_profile')
+    if not profile or any(name in os.environ for name in CHAIN['PROFILE_VARIABLES']):
+        return [node]
+    older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
+    return [SetEnvironmentVariable(CHAIN['PROFILE_VARIABLES'][older], profile), node]
