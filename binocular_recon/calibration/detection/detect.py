@@ -18,6 +18,8 @@ from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._reversed_bands import explains_more, moved_readings
 from binocular_recon.calibration.detection._rod_search import Track, find_tracks
 from binocular_recon.calibration.target.board_plane import plane_marks, predict_marks
+from binocular_recon.calibration.target.mark_types import MarkType
+from binocular_recon.calibration.target.missing_marks import describe_missing
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ImageError
@@ -43,7 +45,6 @@ AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
 )
-REVERSED = 'the rods begin with a {} band; set mark_type: {} in rods.yaml'
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +60,15 @@ class Detection:
         One standard deviation of each mark along its rod, px; NaN = not found.
     messages : tuple of str
         What is missing and what to do about it; empty if every mark was found.
+    mark_type : MarkType or None
+        The type of marks that the image shows instead of that of ``rods.yaml``.
 
     """
 
     marks_px: FloatArray
     sigma_px: FloatArray = field(repr=False)
     messages: tuple[str, ...] = ()
+    mark_type: MarkType | None = None
 
     @property
     def found(self) -> npt.NDArray[np.bool_]:
@@ -104,7 +108,7 @@ def detect_rods(image: npt.NDArray[Any], board: RodBoard) -> Detection:
     if mark_type is not None:
         other = replace(board, mark_type=mark_type)
         if _shows(image, other, detection, measured):
-            return _nothing(board, REVERSED.format(mark_type.lowest_band, mark_type.name))
+            return replace(_nothing(board, mark_type.remedy), mark_type=mark_type)
     return detection
 
 
@@ -194,7 +198,7 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | N
             lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
             refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
             marks, sigma = refined.marks_px, refined.sigma_px
-            detection = Detection(marks, sigma, _messages(marks))
+            detection = Detection(marks, sigma, describe_missing(marks))
             return _Measured(detection, refined, image, averaged)
         if identity is None:
             break
@@ -276,12 +280,3 @@ def _stretch(grey: FloatImage) -> tuple[FloatImage, float]:
     second = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
     noise = float(np.median(second)) / 0.6745 / np.sqrt(6)
     return stretched, max(MIN_STEP, MIN_STEP_SIGMAS * min(noise, 10.0))
-
-
-def _messages(marks_px: FloatArray) -> tuple[str, ...]:
-    """Describe what is missing."""
-    found = np.isfinite(marks_px[..., 0])
-    if found.all():
-        return ()
-    rods = [f'rod {r + 1} of {len(found)} not found' for r in np.nonzero(~found.any(1))[0]]
-    return (*rods, f'{found.sum()} of {found.size} marks')

@@ -15,6 +15,7 @@ from binocular_recon._jit import thread_count
 from binocular_recon.calibration.detection.detect import detect_rods
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.capture import Capture
+from binocular_recon.calibration.target.mark_types import MarkType
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import BinocularReconError, CalibrationError, FileError
 from binocular_recon.io.image_files import read_image_file
@@ -46,6 +47,8 @@ class BoardReading:
         Width and height of both images, px.
     reason : str
         Why there is no capture, or which marks are missing.
+    mark_type : MarkType or None
+        The type of marks that an image shows instead of that of ``rods.yaml``.
 
     """
 
@@ -53,6 +56,7 @@ class BoardReading:
     capture: Capture | None
     size: tuple[int, int] | None
     reason: str
+    mark_type: MarkType | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +150,8 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
         for message in detection.messages
     )
     if not (left.found.any() and right.found.any()):
-        return BoardReading(files, None, sizes[0], missing)
+        mark_type = left.mark_type or right.mark_type
+        return BoardReading(files, None, sizes[0], missing, mark_type)
     capture = Capture(files.name, left.marks_px, right.marks_px)
     return BoardReading(files, capture, sizes[0], missing)
 
@@ -201,16 +206,17 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
     Raises
     ------
     CalibrationError
-        If no board could be found in any pair of images.
+        If no board could be found in any pair of images, or most show another type of marks than
+        ``rods.yaml`` states.
 
     """
+    _check_mark_type(readings, folder)
     sizes = Counter(reading.size for reading in readings if reading.capture and reading.size)
     if not sizes:
         reasons = '; '.join(f'{reading.files.name}: {reading.reason}' for reading in readings[:3])
-        raise CalibrationError(
-            f'no rods were found in any of the {len(readings)} boards of {folder} ({reasons});'
-            ' check that rods.yaml describes the rods in the images'
-        )
+        searched = all(reading.size is not None for reading in readings)
+        what = 'no rods were found in any' if searched else 'nothing can be used'
+        raise CalibrationError(f'{what} of the {len(readings)} boards of {folder} ({reasons})')
     size = sizes.most_common(1)[0][0]
     captures, rejected = [], []
     for reading in readings:
@@ -223,3 +229,18 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
         else:
             captures.append(reading.capture)
     return CaptureSet(tuple(captures), size, tuple(rejected))
+
+
+def _check_mark_type(readings: Sequence[BoardReading], folder: Path) -> None:
+    """Raise a CalibrationError if more boards show another type of marks than were read.
+
+    A board of which little is in view fits either type. With the wrong one it is read with wrong
+    heights, and only the other boards tell.
+    """
+    read = sum(reading.capture is not None for reading in readings)
+    shown = Counter(reading.mark_type for reading in readings if reading.mark_type is not None)
+    for mark_type, count in shown.most_common(1):
+        if count > read:
+            raise CalibrationError(
+                f'on {count} of {len(readings)} boards of {folder} {mark_type.remedy}'
+            )

@@ -3,7 +3,8 @@
 
 `rods` reads and checks the file; `mark_types` is the registry of ``mark_type``. `target` is the
 geometry that the adjustment takes: rods, or points known exactly. `capture` holds the marks of
-one board in both images. `board_plane` predicts where a board's marks lie in an image.
+one board in both images, `missing_marks` names those that were not found. `board_plane` predicts
+where a board's marks lie in an image.
 """
 
 from typing import TYPE_CHECKING

@@ -54,6 +54,14 @@ class MarkType:
         """Return which marks have a dark band below and a light one above, (marks,) bool."""
         return ~self.light_bands(marks)[:-1]
 
+    @property
+    def remedy(self) -> str:
+        """What to change where images show rods of this type and ``rods.yaml`` states another."""
+        return (
+            f'the rods begin with a {self.lowest_band} band; set mark_type: {self.name} in'
+            ' rods.yaml'
+        )
+
     def reversed(self) -> MarkType | None:
         """Return the known type with dark and light exchanged; None if there is none."""
         for other in MARK_TYPES.values():

@@ -102,7 +102,8 @@ class CalibrationServices:
 
     def read_boards(self) -> None:
         """Read the boards of an earlier session now, so that the first capture need not."""
-        self._store.usable()
+        with contextlib.suppress(BinocularReconError):  # the first capture says what is wrong
+            self._store.usable()
 
     def capture(self) -> str:
         """Detect the rods in the newest pair and store it as a board."""

@@ -31,7 +31,10 @@ def test_hidden_marks_are_not_invented() -> None:
     hidden[2, 2:4] = True
     np.testing.assert_array_equal(detection.found, ~hidden)
     assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.3
-    assert detection.messages == ('28 of 30 marks',)
+    assert detection.messages == (
+        'rod 3: marks 3, 4 hidden; people or things before it?',
+        '28 of 30 marks',
+    )
 
 
 @pytest.mark.parametrize('marks', [0, 1])
@@ -41,7 +44,10 @@ def test_missing_rod_is_named(marks: int) -> None:
     x, y = placed.marks_px(LEFT)[2, -1].astype(int)
     image[marks * (y + 15) :, x - 15 : x + 16] = 110
     detection = detect_rods(image, placed.board)
-    assert detection.messages == ('rod 3 of 5 not found', '24 of 30 marks')
+    assert detection.messages == (
+        'rod 3 of 5 not found; people or things before it?',
+        '24 of 30 marks',
+    )
     assert np.nanmax(np.abs(detection.marks_px - placed.marks_px(LEFT))) < 0.3
 
 

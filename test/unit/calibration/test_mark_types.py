@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from binocular_recon.calibration.detection.detect import detect_rods
-from binocular_recon.calibration.session.captures import read_captures
+from binocular_recon.calibration.session.captures import (
+    BoardFiles,
+    BoardReading,
+    capture_set,
+    read_captures,
+)
+from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.mark_types import (
     BAND_EDGE,
     BAND_EDGE_LIGHT,
@@ -154,5 +160,32 @@ def test_reason_is_given_for_captures_on_disk(tmp_path: Path) -> None:
     image, _ = image_of(LIGHT, (0.0, 1.2, 8.0))
     for side in ('left', 'right'):
         write_image_file(tmp_path / f'{side}_1.png', image)
-    with pytest.raises(CalibrationError, match=f'left: {SAYS_LIGHT}; right: {SAYS_LIGHT}'):
+    with pytest.raises(CalibrationError, match=f'on 1 of 1 boards of .* {SAYS_LIGHT}'):
         read_captures(tmp_path, DARK)
+
+
+def reading(name: str, *, read: bool, other: MarkType | None = None) -> BoardReading:
+    """Return what became of a board of 1920x1200 px."""
+    files = BoardFiles(name, Path(f'left_{name}.png'), Path(f'right_{name}.png'))
+    marks = np.zeros((5, 6, 2))
+    capture = Capture(name, marks, marks) if read else None
+    reason = '' if read else f'left: {SAYS_LIGHT}'
+    return BoardReading(files, capture, (1920, 1200), reason, other)
+
+
+def test_boards_that_fit_either_type_are_refused_with_those_that_do_not(tmp_path: Path) -> None:
+    """Of 100 boards with the wrong type, about 8 show too little to tell."""
+    contradict = [reading(f'{i}', read=False, other=BAND_EDGE_LIGHT) for i in range(4)]
+    fit = [reading(f'{i}', read=True) for i in range(4, 7)]
+    with pytest.raises(CalibrationError, match=f'on 4 of 7 boards of .* {SAYS_LIGHT}'):
+        capture_set([*contradict, *fit], tmp_path)
+    # a few boards of other rods spoil nothing
+    found = capture_set([*contradict[:2], *fit], tmp_path)
+    assert len(found.captures) == 3 and [board.name for board in found.rejected] == ['0', '1']
+
+
+def test_only_images_without_rods_point_at_the_description(tmp_path: Path) -> None:
+    lost = BoardReading(BoardFiles('1', None, None, ''), None, None, 'there is no left image')
+    with pytest.raises(CalibrationError, match=r'nothing can be used of the 1 .*no left') as error:
+        capture_set([lost], tmp_path)
+    assert 'rods.yaml' not in str(error.value)
