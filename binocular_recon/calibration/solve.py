@@ -18,6 +18,7 @@ from binocular_recon.calibration.adjustment.estimation import Estimate, estimate
 from binocular_recon.calibration.adjustment.linearisation import State, predict
 from binocular_recon.calibration.adjustment.planar import calibrate_planar
 from binocular_recon.calibration.adjustment.split_halves import compare_halves
+from binocular_recon.calibration.adjustment.tone_curve import find_tone_curve
 from binocular_recon.calibration.advice import advise
 from binocular_recon.calibration.model import DEFAULT_LENS, StereoCalibration, check_lens
 from binocular_recon.calibration.rectification.epipolar import free_pair
@@ -103,6 +104,12 @@ def calibrate(
     free = free_parameters(LENSES[lens].DEFAULT_COEFFICIENTS, lens)
     problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
     adjusted, evidence, model = _adjust(problem, planar)
+    tone = find_tone_curve(adjusted)
+    if tone.cause == 'tone':
+        report('adjustment without the shift of edges by the tone curve')
+        observed = tone.corrected(observed)
+        planar = calibrate_planar(observed, target, image_size, lens)
+        adjusted, evidence, model = _adjust(replace(problem, observed_px=observed), planar)
     lost += [Rejected(usable[i].name, reason) for i, reason in adjusted.bad_boards.items()]
     check_count(len(adjusted.boards), lost)
     check_order(adjusted.state.calibration)
@@ -134,7 +141,7 @@ def calibrate(
         evidence=evidence,
         model=model,
         rejected=tuple(lost),
-        warnings=warnings_of(adjusted, halves) + notes + more,
+        warnings=warnings_of(adjusted, halves, tone) + notes + more,
         advice=advise(adjusted),
     )
 

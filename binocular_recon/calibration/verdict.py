@@ -8,6 +8,7 @@ import numpy as np
 from binocular_recon.calibration.adjustment.estimation import Estimate
 from binocular_recon.calibration.adjustment.linearisation import linearise, marks_in_left
 from binocular_recon.calibration.adjustment.split_halves import SplitHalves
+from binocular_recon.calibration.adjustment.tone_curve import NO_SHIFT, ToneCurve
 from binocular_recon.calibration.adjustment.uncertainty import depth_sigma_m, field_of_view
 from binocular_recon.calibration.rectification.homography import ImageGrid
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
@@ -41,9 +42,11 @@ def check_result(found: Estimate) -> None:
     _check_depth(found)
 
 
-def warnings_of(found: Estimate, halves: SplitHalves) -> tuple[str, ...]:
+def warnings_of(
+    found: Estimate, halves: SplitHalves, tone: ToneCurve = NO_SHIFT
+) -> tuple[str, ...]:
     """Return warnings for the user, one sentence each."""
-    warnings = [halves.warning] if halves.warning else []
+    warnings = [warning for warning in (halves.warning, tone.warning) if warning]
     problem = found.problem
     if len(found.boards) < RECOMMENDED_BOARDS:
         warnings.append(
@@ -73,7 +76,9 @@ def warnings_of(found: Estimate, halves: SplitHalves) -> tuple[str, ...]:
             ' usual); capture more boards, turned by 20 to 50 degrees to either side and at more'
             ' distances'
         )
-    warnings += _misplaced_marks(found) + _rarely_found(found) + _bent_board(found)
+    if tone.cause != 'either':  # else every mark would seem to be at a wrong height
+        warnings += _misplaced_marks(found)
+    warnings += _rarely_found(found) + _bent_board(found)
     for side in ('left', 'right'):
         unusable = 1 - ImageGrid.of(found.state.calibration, side).usable_share
         if unusable > 0:

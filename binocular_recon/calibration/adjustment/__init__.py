@@ -3,9 +3,10 @@
 
 `planar` is Zhang's method per camera, the start (`fisheye_start` for fisheye lenses);
 `bundle_adjustment` adjusts both cameras, all boards and every rod together (`linearisation`:
-predictions and derivatives); `estimation` adds what must be found out on the way: noise,
-outliers, bad boards; `distortion` chooses the lens terms; `split_halves` checks the covariance
-on halves of the boards; `uncertainty` says what it means for depth.
+predictions and derivatives); `estimation` adds what must be found out on the way: noise, outliers,
+bad boards; `tone_curve` finds edges that a tone curve shifts; `distortion` chooses the lens terms;
+`split_halves` checks the covariance on halves of the boards; `uncertainty` says what it means for
+depth.
 """
 
 from typing import TYPE_CHECKING

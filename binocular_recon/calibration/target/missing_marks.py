@@ -6,14 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from binocular_recon.camera import FloatArray
+from binocular_recon.images import Mask
 
 
 def describe_missing(marks_px: FloatArray) -> tuple[str, ...]:
     """Describe which marks (R, M, 2) of a board were not found, NaN; nothing if all were."""
-    found = np.isfinite(marks_px[..., 0])
+    found: Mask = np.isfinite(marks_px[..., 0])
     if found.all():
         return ()
-    rods = found.any(axis=1)
+    rods: Mask = np.any(found, axis=1)
     messages = []
     for rod, marks in enumerate(found):
         if not rods[rod]:

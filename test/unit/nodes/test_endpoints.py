@@ -23,7 +23,7 @@ def created(health: Any, *, counts_losses: bool) -> Any:
 
     def create(*_: Any, event_callbacks: Any, **__: Any) -> None:
         if event_callbacks.message_lost and not counts_losses:
-            raise UnsupportedEventTypeError
+            raise UnsupportedEventTypeError('not offered')
         accepted.append(event_callbacks)
 
     node: Any = Mock(create_subscription=create)
