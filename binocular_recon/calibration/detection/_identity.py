@@ -46,6 +46,9 @@ MAX_SLANT = 0.3
 SLANT_COST = 10.0
 # An edge is a foot if it is this near to where the foot must be, as a share of the lowest spacing.
 AT_FOOT = 0.15
+# Marks are those of a board if they are this share of all between the lowest and the highest one
+# of their rods, and this share of all that the image must show from the first to the last rod.
+LEAST_ALONG, LEAST_BETWEEN = 0.6, 1 / 3
 # Index of no rod, even after adding any shift.
 NOWHERE = -1000
 
@@ -108,6 +111,23 @@ def settle_identity(
         for values, margin in ((scores, CLEAR_MARGIN), (with_feet, FEET_MARGIN))
     )
     return readings[best].marks_px if clear and scores[best] > 0 else None
+
+
+def scattered(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
+    """Return whether marks lie scattered, as in trees: with gaps, or with no rods in between.
+
+    Things that hide a board leave whole stretches of it.
+    """
+    found = np.isfinite(marks_px[..., 0])
+    rods = np.flatnonzero(found.any(axis=1))
+    above = np.logical_or.accumulate(found, axis=1)
+    below = np.logical_or.accumulate(found[:, ::-1], axis=1)[:, ::-1]
+    predicted = predict_marks(board, marks_px, plane_marks(board, marks_px, size))
+    between = inside_image(predicted, size, BORDER_MARGIN_PX)[rods[0] : rods[-1] + 1]
+    return bool(
+        found.sum() < LEAST_ALONG * (above & below).sum()
+        or found.sum() < LEAST_BETWEEN * between.sum()
+    )
 
 
 def other_identities(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from binocular_recon.calibration.detection._board_layout import Layout, identify
 from binocular_recon.calibration.detection._guided_search import MIN_MARKS, Averaged, complete
-from binocular_recon.calibration.detection._identity import settle_identity
+from binocular_recon.calibration.detection._identity import scattered, settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._reversed_bands import explains_more, moved_readings
 from binocular_recon.calibration.detection._rod_search import Track, find_tracks
@@ -191,7 +191,7 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | N
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
     for _ in range(MAX_IDENTITIES):
         refined = _measure(image, averaged, board, rough)
-        if not _convincing(board, refined.marks_px):
+        if not _convincing(board, refined.marks_px, (image.shape[1], image.shape[0])):
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
@@ -228,8 +228,8 @@ def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: Floa
     return refined
 
 
-def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
-    """Return whether there are enough marks for a board: three on each of two rods.
+def _convincing(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
+    """Return whether there are enough marks for a board: three on each of two rods, not scattered.
 
     Only its marks distinguish a single rod from a banded post: most must be there.
     """
@@ -237,7 +237,7 @@ def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
     if board.count == 1:
         return bool(per_rod[0] >= LONE_ROD_SHARE * board.marks_per_rod)
     complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
-    return bool(complete_rods >= 2)
+    return bool(complete_rods >= 2 and not scattered(board, marks_px, size))
 
 
 def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.calibration.detection._board_layout import Layout
+from binocular_recon.calibration.detection._identity import scattered
 from binocular_recon.calibration.detection.detect import _settle, detect_rods
 from binocular_recon.calibration.target.board_plane import slant
 from binocular_recon.errors import ImageError
@@ -160,6 +161,53 @@ def test_clutter_alone_has_no_board() -> None:
     x1, y1 = np.nanmax(capture.left_px, (0, 1)).astype(int) + 60
     image[max(0, y0) : y1, max(0, x0) : x1] = 128
     assert not detect_rods(image, board).found.any()
+
+
+def test_scattered_marks_are_no_board() -> None:
+    """Eight marks of thirty, as trees gave them; what people leave of a board is one."""
+    board = paper_board()
+    placed = place_board(board, np.zeros(3), np.array([0.0, 1.2, 8.0]), np.random.default_rng(0))
+    marks = placed.marks_px(LEFT)
+
+    def seen(*rows: str) -> np.ndarray[Any, Any]:
+        shown = np.array([[mark == 'x' for mark in row] for row in rows])
+        return np.where(shown[..., None], marks, np.nan)
+
+    none = '......'
+    for rows in (
+        ('xxxx..', none, none, none, '..xxxx'),  # rods missing in between
+        ('x.x..x', none, 'x..x.x', none, none),  # gaps along the rods
+        (none, 'x..x.x', 'x.x..x', '..x..x', none),
+    ):
+        assert scattered(board, seen(*rows), LEFT.camera.size)
+    for rows in (
+        ('xxxxxx', none, none, none, 'xxxxxx'),  # people before three rods
+        ('xxx...', 'xxx...', none, none, none),
+        ('xx..xx', 'xx..xx', 'xx..xx', 'xx..xx', 'xx..xx'),  # a barrier before all
+        ('xxxxx.', '.xxxx.', 'x....x', '.xxxx.', 'xxxxxx'),
+    ):
+        assert not scattered(board, seen(*rows), LEFT.camera.size)
+    # only what the image can show counts
+    away = place_board(board, np.zeros(3), np.array([-4.3, 1.2, 8.0]), np.random.default_rng(0))
+    cut = away.marks_px(LEFT)
+    cut[:3] = np.nan
+    cut[3:, 3:] = np.nan
+    assert not scattered(board, cut, LEFT.camera.size)
+
+
+def test_a_board_behind_trunks_is_found_and_trunks_alone_are_none() -> None:
+    """Two banded posts with the marks' spacing, four rods apart, and nothing between them."""
+    image, placed = image_of(paper_board(), (0.0, 1.2, 8.0))
+    truth = placed.marks_px(LEFT)
+    for rod in (1, 2, 3):
+        x = int(truth[rod, :, 0].mean())
+        image[:, x - 15 : x + 16] = 110
+    assert detect_rods(image, placed.board).found.sum() == 12
+    for rod, marks in ((0, slice(4, 6)), (4, slice(0, 2))):
+        y = truth[rod, marks, 1]
+        x = int(truth[rod, :, 0].mean())
+        image[int(y.min()) - 60 : int(y.max()) + 60, x - 15 : x + 16] = 110
+    assert not detect_rods(image, placed.board).found.any()
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (1, 200), (31, 500), (33, 64, 3)])
