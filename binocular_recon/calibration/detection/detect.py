@@ -191,13 +191,15 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | N
     rough, averaged = layout.marks_px, Averaged.of(image, layout.width_px)
     for _ in range(MAX_IDENTITIES):
         refined = _measure(image, averaged, board, rough)
-        if not _convincing(board, refined.marks_px, (image.shape[1], image.shape[0])):
+        if not _convincing(board, refined.marks_px):
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
             lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
             refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
             marks, sigma = refined.marks_px, refined.sigma_px
+            if board.count > 1 and scattered(board, marks, (image.shape[1], image.shape[0])):
+                return None
             detection = Detection(marks, sigma, describe_missing(marks))
             return _Measured(detection, refined, image, averaged)
         if identity is None:
@@ -228,8 +230,8 @@ def _measure(image: FloatImage, averaged: Averaged, board: RodBoard, rough: Floa
     return refined
 
 
-def _convincing(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
-    """Return whether there are enough marks for a board: three on each of two rods, not scattered.
+def _convincing(board: RodBoard, marks_px: FloatArray) -> bool:
+    """Return whether there are enough marks for a board: three on each of two rods.
 
     Only its marks distinguish a single rod from a banded post: most must be there.
     """
@@ -237,7 +239,7 @@ def _convincing(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
     if board.count == 1:
         return bool(per_rod[0] >= LONE_ROD_SHARE * board.marks_per_rod)
     complete_rods = (per_rod >= min(3, board.marks_per_rod)).sum()
-    return bool(complete_rods >= 2 and not scattered(board, marks_px, size))
+    return bool(complete_rods >= 2)
 
 
 def _checked(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
