@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon.calibration.detection._edge_fit import MAX_RESIDUAL, EdgeFit
-from binocular_recon.calibration.detection._rod_sides import RodFit
+from binocular_recon.calibration.detection._edge_fit import MAX_RESIDUAL, EdgeFit, RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 

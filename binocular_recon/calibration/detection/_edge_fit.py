@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit one edge between two bands of a rod to grey levels, to subpixel accuracy."""
+"""A rod in an image, and the fit of one edge between two of its bands, to subpixel accuracy."""
 
 from __future__ import annotations
 
@@ -11,22 +11,45 @@ from binocular_recon.calibration.detection._rod_fit_kernels import (
     ABOVE,
     BELOW,
     BLUR,
+    C2,
     CURVE,
     EDGE_PARAMETERS,
     LEFT,
+    R0,
+    R1,
     RIGHT,
     S1,
     S2,
     T0,
     accumulate_edge,
 )
-from binocular_recon.calibration.detection._rod_sides import USUAL_BLUR_PX, RodFit
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage
 
+# Blur assumed before it is measured: a good lens and the pixel itself, px.
+USUAL_BLUR_PX = 0.8
 EDGE_STEPS = 8
 # Largest root mean square residual of an edge, as a share of its step.
 MAX_RESIDUAL = 0.12
+
+
+class RodFit(NamedTuple):
+    """A rod's middle line and width in the image.
+
+    ``parameters`` as in ``_rod_fit_kernels``, for z = (y - y_middle) / y_scale.
+    """
+
+    parameters: FloatArray
+    y_middle: float
+    y_scale: float
+
+    def place(self, y: float) -> tuple[FloatArray, FloatArray, float]:
+        """Return the middle of the rod at row y, its direction upwards, and half its width."""
+        p, z = self.parameters, (y - self.y_middle) / self.y_scale
+        slope = (p[1] + 2 * z * p[C2]) / self.y_scale
+        length = float(np.hypot(slope, 1))
+        middle = np.array([p[0] + z * (p[1] + z * p[C2]), y])
+        return middle, np.array([-slope, -1.0]) / length, float(p[R0] + z * p[R1]) / length
 
 
 class EdgeFit(NamedTuple):

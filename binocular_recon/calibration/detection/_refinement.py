@@ -12,10 +12,11 @@ from binocular_recon.calibration.detection._band_check import reject_odd_looking
 from binocular_recon.calibration.detection._edge_fit import (
     MAX_RESIDUAL,
     EdgeFit,
+    RodFit,
     curve_model,
     fit_edge,
 )
-from binocular_recon.calibration.detection._rod_sides import RodFit, fit_rods
+from binocular_recon.calibration.detection._rod_sides import fit_rods
 from binocular_recon.calibration.target.board_plane import plane_marks
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from binocular_recon.calibration.detection._edge_fit import USUAL_BLUR_PX, RodFit
 from binocular_recon.calibration.detection._rod_fit_kernels import (
     C0,
     C1,
@@ -25,19 +25,22 @@ from binocular_recon.calibration.detection._search_kernels import centre_rod
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
-# Blur assumed before it is measured: a good lens and the pixel itself, px.
-USUAL_BLUR_PX = 0.8
-# Steps of the fit; the first ones move the lines only, the next ones keep the expected width.
+# Steps of the fit; the first ones move the lines only, the next ones keep the expected width and
+# angle of view.
 ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 # Most that a step may change C0 and C1, as a share of the width.
 LINE_STEP = 0.33
-# What the rods of an image have in common: width against rod_diameter, S1, S2, blur (px) and how
-# the lens bends them, at their middle and its change over BEND_REACH_PX, in BEND_UNIT (1 / px):
-# expected value, its standard deviation, and the largest change in one step.
-COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0])
-COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0])
-COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2])
+# What the rods of an image have in common: width against rod_diameter, S1 and S2 at their middle,
+# blur (px), how the lens bends them, at their middle and its change over BEND_REACH_PX, in
+# BEND_UNIT (1 / px), and the angle of view of an image's width (rad): expected value, its standard
+# deviation, and the largest change in one step. A rod seen more to the right shows the sun
+# more of its right side, by the angle between the lines of sight.
+COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0, 1.0])
+COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0, 0.3])
+COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2, 0.1])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
+# Starts of S1, tried in turn until width and blur are as expected within so many sigmas.
+SUN_STARTS, MOST_STRAIN = (0.0, 1.5, -1.5), 4.5
 OWN = 2
 # Largest number of rows of a rod that are fitted; neighbouring rows add little.
 MAX_ROWS = 160
@@ -52,25 +55,6 @@ MIN_CONTRAST = 0.25
 WIDE_PX, CENTRE_ROWS, MAX_CONTRAST = 4.0, 40, 60.0
 # Least residual above which a row is down-weighted, grey levels.
 MIN_RESIDUAL = 2.0
-
-
-class RodFit(NamedTuple):
-    """A rod's middle line and width in the image.
-
-    ``parameters`` as in ``_rod_fit_kernels``, for z = (y - y_middle) / y_scale.
-    """
-
-    parameters: FloatArray
-    y_middle: float
-    y_scale: float
-
-    def place(self, y: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the middle of the rod at row y, its direction upwards, and half its width."""
-        p, z = self.parameters, (y - self.y_middle) / self.y_scale
-        slope = (p[1] + 2 * z * p[C2]) / self.y_scale
-        length = float(np.hypot(slope, 1))
-        middle = np.array([p[0] + z * (p[1] + z * p[C2]), y])
-        return middle, np.array([-slope, -1.0]) / length, float(p[R0] + z * p[R1]) / length
 
 
 def fit_rods(
@@ -113,21 +97,17 @@ def fit_rods(
         for marks, edges, width in zip(marks_px, edges_y, width_px, strict=True)
     ]
     seen = [side for side in sides if side is not None]
-    common = COMMON_START.copy()
-    for step in range(ROD_STEPS if seen else 0):
-        # a blurred model first: it converges from farther away
-        systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
-        change = np.zeros(len(common))
-        if step >= LINE_STEPS:
-            change = _common_change(systems, common)
-            if step < WIDTH_STEPS:
-                change[0] = 0.0
-        common = common + change
-        for side, (normal, gradient) in zip(seen, systems, strict=True):
-            own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
-            limit = 2 * side.half_row_px[0] * LINE_STEP
-            side.line = side.line + np.clip(own, -limit, limit)
-            _reweight_rows(side.rows, side.light)
+    common = COMMON_START
+    for s1 in SUN_STARTS if seen else ():
+        # from the wrong side of the sun the fit ends with rods too narrow and blurred
+        tried = [replace(side, line=side.line.copy(), rows=side.rows.copy()) for side in seen]
+        found = _fit(image, tried, COMMON_START + s1 * np.eye(len(COMMON_START))[1])
+        if s1 == SUN_STARTS[0] or _strain(found) < _strain(common):
+            common = found
+            for side, best in zip(seen, tried, strict=True):
+                side.line, side.rows = best.line, best.rows
+        if _strain(common) < MOST_STRAIN:
+            break
     # the background of one rod may vary with its bands; of most rods it cannot
     flat = [side for side in seen if not side.stands_out(common)]
     lost = flat if 2 * len(flat) > len(seen) else []
@@ -139,12 +119,14 @@ class _Side:
     """A rod during the fit: C0, C1 in ``line``; ``rows`` as `accumulate_rows` takes them.
 
     ``half_row_px``: R0 and R1 of the expected half width along a row. ``bend`` (2,): derivatives
-    of C2 by the common parameters of the lens. ``light`` (n,): which rows are in light bands.
+    of C2 by the common parameters of the lens. ``aside``: how far right of the rods' middle, as a
+    share of the image's width. ``light`` (n,): which rows are in light bands.
     """
 
     line: FloatArray
     half_row_px: FloatArray
     bend: FloatArray
+    aside: float
     y_middle: float
     y_scale: float
     rows: FloatArray
@@ -152,8 +134,14 @@ class _Side:
 
     def parameters(self, common: FloatArray) -> FloatArray:
         """Return the parameters of the kernels."""
-        c2 = self.bend @ common[4:]
-        return np.array([*self.line, c2, *(common[0] * self.half_row_px), *common[1:4]])
+        c2 = self.bend @ common[4:6]
+        shade = self.turn(common) @ common[1:3]
+        return np.array([*self.line, c2, *(common[0] * self.half_row_px), *shade, common[3]])
+
+    def turn(self, common: FloatArray) -> FloatArray:
+        """Return the matrix that gives S1 and S2 of this rod from those at the rods' middle."""
+        cos, sin = np.cos(common[6] * self.aside), np.sin(common[6] * self.aside)
+        return np.array([[cos, sin], [-sin, cos]])
 
     def result(self, common: FloatArray) -> RodFit | None:
         """Return the fit, None if no row of the rod could be seen."""
@@ -177,7 +165,7 @@ class _Side:
             np.average(level[kind], weights=weight[kind]) for kind in (~light, light)
         )
         for side, beside in ((-1.0, left), (1.0, right)):
-            shade = shading(side, common[1], common[2])
+            shade = shading(side, *self.parameters(common)[[S1, S2]])
             contrast = np.abs(shade * level - beside)
             mean = np.mean(
                 [np.average(contrast[kind], weights=weight[kind]) for kind in (~light, light)]
@@ -185,6 +173,30 @@ class _Side:
             if mean < MIN_CONTRAST * shade * (light_level - dark_level):
                 return False
         return True
+
+
+def _fit(image: FloatImage, seen: list[_Side], common: FloatArray) -> FloatArray:
+    """Fit rods in place, from these common parameters; return those found."""
+    for step in range(ROD_STEPS):
+        # a blurred model first: it converges from farther away
+        systems = [_normal_equations(image, side, common, 0.25 * 0.6**step) for side in seen]
+        change = np.zeros(len(common))
+        if step >= LINE_STEPS:
+            change = _common_change(systems, common)
+            if step < WIDTH_STEPS:
+                change[[0, -1]] = 0.0
+        common = common + change
+        for side, (normal, gradient) in zip(seen, systems, strict=True):
+            own = np.linalg.solve(normal[:OWN, :OWN], gradient[:OWN] - normal[:OWN, OWN:] @ change)
+            limit = 2 * side.half_row_px[0] * LINE_STEP
+            side.line = side.line + np.clip(own, -limit, limit)
+            _reweight_rows(side.rows, side.light)
+    return common
+
+
+def _strain(common: FloatArray) -> float:
+    """Return by how many standard deviations width and blur differ from what is expected."""
+    return float(np.linalg.norm(((common - COMMON_START) / COMMON_SIGMA)[[0, 3]]))
 
 
 def _start(
@@ -219,7 +231,8 @@ def _start(
     line = np.array([x0, slope])
     if half[0] > WIDE_PX:
         centre_rod(image, rows[:: max(1, len(rows) // CENTRE_ROWS)], line, half, MAX_CONTRAST)
-    return _Side(line, half, bend, middle, scale, rows, light)
+    aside = (x0 - x_middle) / image.shape[1]
+    return _Side(line, half, bend, aside, middle, scale, rows, light)
 
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
@@ -248,9 +261,12 @@ def _normal_equations(
     accumulate_rows(image, side.rows, parameters, normal, gradient)
     # derivatives of the kernels' parameters by the rod's own and the common ones
     combine = np.zeros((ROD_PARAMETERS, OWN + len(common)))
-    combine[[C0, C1, S1, S2, SIGMA], [0, 1, 3, 4, 5]] = 1.0
+    combine[[C0, C1, SIGMA], [0, 1, 5]] = 1.0
     combine[[R0, R1], 2] = side.half_row_px
-    combine[C2, 6:] = side.bend
+    combine[[S1, S2], 3:5] = side.turn(common)
+    combine[C2, 6:8] = side.bend
+    s1, s2 = parameters[[S1, S2]]
+    combine[[S1, S2], 8] = side.aside * np.array([s2, -s1])
     normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
     residual, weight = side.rows[:, 4], side.rows[:, 2]
     used = np.isfinite(residual) & (weight > 0)
