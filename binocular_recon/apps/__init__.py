@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The work behind commands and nodes, without their front ends.
 
-`bag_reconstruction` runs the chain on a whole bag. `output_folder` holds the results;
-`frame_formats` is the table of the files of each frame, where a new output format is added.
+`bag_reconstruction` runs the chain on a whole bag, the `bag_input`. `output_folder` holds the
+results; `frame_formats` is the table of the files of each frame, where a new output format is
+added, `summary_entries` what the summary says of it. `earlier_run` tells whether an interrupted
+run can be continued.
 `progress` is a progress bar. Commands and nodes parse arguments or parameters and call these.
 """
 
@@ -11,7 +13,8 @@ from typing import TYPE_CHECKING
 from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
+    from binocular_recon.apps.bag_input import BagInput
+    from binocular_recon.apps.bag_reconstruction import reconstruct_bag
     from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameFormat, FrameResult
     from binocular_recon.apps.output_folder import ResultFolder
 

@@ -3,21 +3,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-import math
 import re
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
+from binocular_recon.apps.bag_input import BagInput
 from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BagError, FileError, ImageError
-from binocular_recon.inputs.options import PairingOptions
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.bags.stereo_bag import StereoBag
 from binocular_recon.io.bags.stereo_topics import (
@@ -26,11 +26,12 @@ from binocular_recon.io.bags.stereo_topics import (
     name_stereo_topics,
 )
 from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.io.pfm import read_pfm
+from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Chain, warm_up
 from binocular_recon.stereo.search_range import SearchRange, range_of_depths
 from binocular_recon.stereo.validity import (
     LEAST_MATCHED,
-    MOST_OUTSIDE,
     REMEDY,
     few_matched_warning,
 )
@@ -43,51 +44,6 @@ _WITHOUT_COVARIANCE = (
 _LONG_S = 5.0
 
 
-@dataclass(frozen=True)
-class BagInput:
-    """A bag and the pairs of it that are reconstructed.
-
-    Attributes
-    ----------
-    bag : Path
-    namespace : str, optional
-        Namespace of the rig.
-    images, infos : (str, str), optional
-        Topics of left and right if they do not have the usual names.
-    rectified : bool, optional
-        Whether ``images`` are rectified; by default as `is_rectified` says.
-    calibration : Path, optional
-        Calibration that replaces the recorded camera infos, as `read_rig` reads it.
-    alpha : float
-        Passed to `Rectifier`.
-    tolerance_ns : int
-        Largest difference between the stamps of a pair.
-    pairing : PairingOptions
-        What tells that images belong together.
-    every : int
-        Reconstruct every Nth pair.
-    max_frames : int, optional
-        Stop after this many frames.
-    near_m, far_m : float, optional
-        Depths that are searched, instead of a range in pixels.
-
-    """
-
-    bag: Path
-    namespace: str | None = None
-    images: tuple[str, str] | None = None
-    infos: tuple[str, str] | None = None
-    rectified: bool | None = None
-    calibration: Path | None = None
-    alpha: float = -1.0
-    tolerance_ns: int = 0
-    pairing: PairingOptions = field(default_factory=PairingOptions)
-    every: int = 1
-    max_frames: int | None = None
-    near_m: float | None = None
-    far_m: float = math.inf
-
-
 def reconstruct_bag(
     source: BagInput,
     output: Path,
@@ -96,6 +52,7 @@ def reconstruct_bag(
     *,
     formats: Collection[str] = (),
     least_matched: float = LEAST_MATCHED,
+    resume: bool = False,
     report: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Reconstruct the pairs of a bag; the files of each frame are written as it is finished.
@@ -113,6 +70,9 @@ def reconstruct_bag(
         Keys of `FRAME_FORMATS` to write besides those that are always written.
     least_matched : float
         With a smaller share of measured pixels the result is refused, though it is written.
+    resume : bool
+        Whether to continue the run of the same input and options in ``output``: what is there
+        already is not computed again, and the files are those of an uninterrupted run.
     report : callable
         Takes a line for the user at the start, and warnings.
 
@@ -125,8 +85,11 @@ def reconstruct_bag(
     ------
     BinocularReconError
         If nothing could be reconstructed; or, after the rest was, if a part could not be.
+    FileError
+        If files cannot be written, or with ``resume`` the run in ``output`` is another one.
     KeyboardInterrupt
-        After an interruption; finished frames are kept, and the message says how many.
+        Or a class of it, after an interruption; finished frames are kept, and the message says
+        how many.
 
     """
     with Bag(source.bag) as bag:
@@ -139,25 +102,39 @@ def reconstruct_bag(
         stereo = StereoBag(
             bag, topics, rig, tolerance_ns=source.tolerance_ns, pairing=source.pairing
         )
-        facts = {'bag': str(source.bag), **topics._asdict()}
-        results = ResultFolder(output, facts, formats=formats)
+        made_from = {
+            'source': source.facts(topics),
+            'preset': preset,
+            'options': dataclasses.asdict(config),
+            'versions': {**machine_facts()['versions'], 'rosbags': version('rosbags')},
+        }
+        results = ResultFolder(output, made_from, formats=formats, resume=resume)
         try:
-            rectify = not topics.rectified
-            _reconstruct(stereo, source, results, config, report, rectify=rectify)
+            if results.facts:
+                report(f'{output} is finished already; --no-resume computes it again')
+            else:
+                rectify = not topics.rectified
+                _reconstruct(stereo, source, results, config, report, rectify=rectify)
+                results.facts = {
+                    'unpaired': stereo.unpaired,
+                    'images_read': stereo.images_read,
+                    'damage': bag.damage,
+                }
+                results.write_summary(finished=True, **results.facts)
         except BaseException as error:
             with suppress(FileError):  # the disk may be full
-                results.write_summary(preset, config, finished=False)
+                results.write_summary(finished=False)
             if isinstance(error, KeyboardInterrupt):
                 kept = f'{len(results.frames)} finished frames are kept in {output}'
-                raise KeyboardInterrupt(kept) from None
+                raise type(error)(kept) from None
             raise
-        results.write_summary(
-            preset, config, finished=True, unpaired=stereo.unpaired, damage=bag.damage
-        )
-        _raise_problems(bag, results, least_matched)
+        finally:
+            results.close()
+    _raise_problems(results, least_matched)
     sentence = results.sentence()
-    if stereo.unpaired:
-        sentence += f'; {stereo.unpaired} of {stereo.images_read} images have no partner'
+    unpaired, read = results.facts['unpaired'], results.facts['images_read']
+    if unpaired:
+        sentence += f'; {unpaired} of {read} images have no partner'
     warning = few_matched_warning(results.matched, results.cause)
     if results.frames and warning:
         report(f'warning: {warning}')
@@ -197,12 +174,24 @@ def _reconstruct(
 ) -> None:
     chain, rig, warned, said = None, None, False, set[str]()
     count = -(-stereo.expected // source.every)
-    with ProgressBar(min(count, source.max_frames or count), 'frames') as progress:
-        for pair in itertools.islice(stereo, 0, None, source.every):
+    before = results.pairs
+    if before:
+        report(f'{len(results.frames)} frames are finished already; continuing after them')
+    with ProgressBar(min(count, source.max_frames or count), 'frames', before) as progress:
+        pairs = itertools.islice(stereo, 0, None, source.every)
+        for number, pair in enumerate(pairs, 1):
+            if number <= before:
+                rig = pair.rig
+                if number == before and len(results.frames) == source.max_frames:
+                    return
+                continue
             if chain is None:
                 _prepare(config, report)
             if chain is None or pair.rig is not rig:
-                chain, rig = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha), pair.rig
+                chain = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha)
+                if before and pair.rig is rig:
+                    _restore(chain, results)
+                rig = pair.rig
                 remarks = [*pair.rig.notices, *(f'warning: {text}' for text in pair.rig.warnings)]
                 for text in remarks:
                     if text not in said:
@@ -214,7 +203,7 @@ def _reconstruct(
             try:
                 reconstruction = chain(*pair.images())
             except ImageError as error:
-                results.leave_out(pair.stamp_ns, error)
+                results.leave_out(pair.stamp_ns, error, chain.state())
             else:
                 seconds = time.perf_counter() - start
                 if not results.frames:
@@ -229,12 +218,20 @@ def _reconstruct(
                     if _kind(text) not in said:
                         said.add(_kind(text))
                         report(f'warning: {text}')
-                if reconstruction.range.outside_share > MOST_OUTSIDE:
-                    results.refuse(warning)
-                results.add(pair.stamp_ns, pair.rig, reconstruction, seconds)
+                results.add(pair.stamp_ns, pair.rig, reconstruction, seconds, chain.state())
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
+
+
+def _restore(chain: Chain, results: ResultFolder) -> None:
+    """Let a chain go on where the earlier run ended."""
+    if results.chain_state is None:
+        return
+    last_px = None
+    if results.chain_state['starts_from_last']:
+        last_px = read_pfm(results.folder / f'{len(results.frames) - 1:06d}_disparity.pfm')
+    chain.restore(results.chain_state, last_px)
 
 
 def _kind(text: str) -> str:
@@ -249,9 +246,9 @@ def _opening(search: SearchRange, rig: StereoRig) -> str:
     )
 
 
-def _raise_problems(bag: Bag, results: ResultFolder, least_matched: float) -> None:
+def _raise_problems(results: ResultFolder, least_matched: float) -> None:
     """Raise a BagError if a part of the recording could not be reconstructed."""
-    problems = list(bag.damage)
+    problems = list(results.facts['damage'])
     if results.left_out:
         total = len(results.left_out) + len(results.frames)
         problems.append(

@@ -3,44 +3,52 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 import statistics
+import time
 from collections.abc import Collection
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from binocular_recon.apps.earlier_run import earlier_run
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult
-from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.config import ChainConfig
+from binocular_recon.apps.summary_entries import (
+    RIG_ENTRY,
+    calibration_entry,
+    first_rig_entry,
+    frame_entry,
+)
+from binocular_recon.camera import StereoRig
 from binocular_recon.errors import ConfigError
-from binocular_recon.images import FloatImage
-from binocular_recon.io.files import complete_files, make_folder, write_json
-from binocular_recon.machine import machine_facts
+from binocular_recon.io.files import ClaimedFolder, complete_files, write_json
 from binocular_recon.number_text import reach
 from binocular_recon.stereo.pipeline import Reconstruction
-from binocular_recon.stereo.point_covariance import sigma_shares
-from binocular_recon.stereo.rectification import frame_text
+from binocular_recon.stereo.validity import MOST_OUTSIDE
+
+# What the summary says of the recording at the end.
+_RECORDING = ('unpaired', 'images_read', 'damage')
+# The summary of a long run takes time to write: at most this share of the run.
+_SUMMARY_SHARE = 0.05
 
 
 class ResultFolder:
-    """Write the files of each frame as it is finished, and a summary at the end.
+    """Write the files of each frame as it is finished, and a summary as the run goes.
 
     Each frame replaces that of the same number of an earlier run; the other frames of the earlier
-    run are removed when this run is complete.
+    run are removed when this run is complete. One process at a time writes to a folder.
 
     Parameters
     ----------
     folder : Path
         Made with its parents if it does not exist.
-    source : dict
-        Where the frames come from, for the summary.
+    made_from : dict
+        What the frames are made from and how, for the summary: `earlier_run.MADE_FROM` without
+        the formats.
     formats : collection of str
         Keys of `FRAME_FORMATS` to write besides those that are always written.
+    resume : bool
+        Whether to continue the run in the folder.
 
     Attributes
     ----------
@@ -48,40 +56,66 @@ class ResultFolder:
         Entry of each finished frame in the summary.
     left_out : list of dict
         Stamp and reason of each pair that could not be reconstructed.
+    pairs : int
+        Number of pairs that were finished or left out.
+    chain_state : dict or None
+        `Chain.state` after the last of them.
     refused : list of str
         Why written frames are not reliable.
     cause : str
         Why few pixels could be matched, if that is known.
+    facts : dict
+        What was found about the recording when the run was finished; else empty.
 
     Raises
     ------
     ConfigError
         If a format is unknown.
     FileError
-        If the folder cannot be made.
+        If the folder cannot be made, another process writes to it, or the run in it was
+        interrupted and cannot be continued.
 
     """
 
     def __init__(
-        self, folder: Path, source: dict[str, Any], *, formats: Collection[str] = ()
+        self,
+        folder: Path,
+        made_from: dict[str, Any],
+        *,
+        formats: Collection[str] = (),
+        resume: bool = False,
     ) -> None:
         unknown = [name for name in formats if name not in FRAME_FORMATS]
         if unknown:
             raise ConfigError(
                 f'frame formats must be among {", ".join(FRAME_FORMATS)}, got {unknown[0]!r}'
             )
-        make_folder(folder)
+        self._claim = ClaimedFolder(folder)
         self.folder = folder
-        self.frames: list[dict[str, Any]] = []
-        self.left_out: list[dict[str, Any]] = []
-        self.refused: list[str] = []
-        self.cause = ''
-        self._source = source
-        self._formats = [
-            spec for name, spec in FRAME_FORMATS.items() if not spec.on_request or name in formats
-        ]
-        self._rig: StereoRig | None = None
-        self._searched_m = (0.0, math.inf)
+        self._formats = {
+            name: spec
+            for name, spec in FRAME_FORMATS.items()
+            if not spec.on_request or name in formats
+        }
+        self._made_from = {**made_from, 'formats': list(self._formats)}
+        before: dict[str, Any] = {}
+        if resume:
+            endings = [spec.ending for spec in self._formats.values()]
+            before = earlier_run(folder, self._made_from, endings) or {}
+        progress = before.get('progress') or {}
+        self.frames: list[dict[str, Any]] = before.get('frames', [])
+        self.left_out: list[dict[str, Any]] = before.get('left_out', [])
+        self.pairs: int = progress.get('pairs', 0)
+        self.chain_state: dict[str, Any] | None = progress.get('chain')
+        self.refused: list[str] = progress.get('refused', [])
+        self.cause: str = progress.get('cause', '')
+        self.facts: dict[str, Any] = {
+            name: before[name] for name in _RECORDING if name in before and before['finished']
+        }
+        self._rig = {
+            name: before[name] for name in RIG_ENTRY if name in before and before['frames']
+        }
+        self._next_summary_s = -math.inf
 
     @property
     def matched(self) -> float:
@@ -89,90 +123,113 @@ class ResultFolder:
         return statistics.fmean([frame['matched'] for frame in self.frames] or [0.0])
 
     def add(
-        self, stamp_ns: int, rig: StereoRig, reconstruction: Reconstruction, seconds: float
+        self,
+        stamp_ns: int,
+        rig: StereoRig,
+        reconstruction: Reconstruction,
+        seconds: float,
+        chain_state: dict[str, Any] | None = None,
     ) -> None:
-        """Write all files of a frame or none; raises a FileError if they cannot be written."""
+        """Write all files of a frame or none; raises a FileError if they cannot be written.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Stamp of the pair.
+        rig : StereoRig
+            Its calibration.
+        reconstruction : Reconstruction
+            The frame.
+        seconds : float
+            Time that it took.
+        chain_state : dict, optional
+            `Chain.state` after it.
+
+        """
         index = len(self.frames)
         result = FrameResult(reconstruction, rig)
-        points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
-        frame = {
-            'index': index,
-            'stamp_ns': stamp_ns,
-            'density': float(np.isfinite(result.disparity_px).mean()),
-            'matched': reconstruction.filtered.measured_share,
-            'disparity_px': {
-                'min': reconstruction.range.search.min_disparity,
-                'max': reconstruction.range.search.last,
-            },
-            'depth_m': _depth_range(reconstruction.cloud.depth_m),
-            'seconds': round(seconds, 4),
-            'points': int(np.count_nonzero(points)),
-        }
-        findings = reconstruction.findings
-        self.cause = self.cause or findings.cause
-        if findings.rows.points:
-            frame['row_offset_px'] = round(findings.rows.median_px, 3)
-        if findings.warnings or findings.cause:
-            frame['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
-        if reconstruction.range.warning:
-            frame['warning'] = reconstruction.range.warning
-        if self._rig is None:
-            self._rig = rig
-            self._searched_m = reconstruction.range.search.depths_m(rig)
-        elif rig is not self._rig:
-            frame['calibration'] = _calibration(rig)
-        with complete_files(self.folder, lambda: self.frames.append(frame)) as parts:
-            for spec in self._formats:
+        entry = frame_entry(index, stamp_ns, result, seconds)
+        rig_entry = self._rig or first_rig_entry(result)
+        calibration = calibration_entry(rig)
+        if calibration != rig_entry['calibration']:
+            entry['calibration'] = calibration
+
+        def completed() -> None:
+            self._rig = rig_entry
+            self.frames.append(entry)
+            self.cause = self.cause or reconstruction.findings.cause
+            if reconstruction.range.outside_share > MOST_OUTSIDE:
+                self.refused.append(reconstruction.range.warning)
+            self._advance(chain_state)
+
+        with complete_files(self.folder, completed) as parts:
+            for spec in self._formats.values():
                 spec.write_frame(parts, index, result)
+            if not self.frames:  # the summary of an earlier run does not fit any more
+                self._summary.unlink(missing_ok=True)
+        self._save_progress()
 
-    def refuse(self, reason: str) -> None:
-        """Note why a written frame is not reliable."""
-        self.refused.append(reason)
-
-    def leave_out(self, stamp_ns: int, reason: Exception) -> None:
-        """Note a pair that could not be reconstructed."""
-        self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
-
-    def write_summary(
-        self, preset: str, config: ChainConfig, *, finished: bool, **facts: Any
+    def leave_out(
+        self, stamp_ns: int, reason: Exception, chain_state: dict[str, Any] | None = None
     ) -> None:
-        """Write ``summary.json``; raises a FileError if it cannot be written.
+        """Note a pair that could not be reconstructed, and `Chain.state` after it."""
+        self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
+        self._advance(chain_state)
+        self._save_progress()
 
-        A run without a finished frame leaves the summary of an earlier run as it is.
+    def _advance(self, chain_state: dict[str, Any] | None) -> None:
+        self.pairs += 1
+        self.chain_state = chain_state
+
+    def _save_progress(self) -> None:
+        """Write the summary so far, unless that was done a short while ago."""
+        begun_s = time.monotonic()
+        if self.frames and begun_s >= self._next_summary_s:
+            self.write_summary(finished=False)
+            taken_s = time.monotonic() - begun_s
+            self._next_summary_s = begun_s + taken_s / _SUMMARY_SHARE
+
+    @property
+    def _summary(self) -> Path:
+        return self.folder / 'summary.json'
+
+    def write_summary(self, *, finished: bool, **facts: Any) -> None:
+        """Write ``summary.json``, with facts about the recording.
+
+        A run without a finished frame leaves the summary of an earlier run as it is. Raises a
+        FileError if it cannot be written.
         """
-        path = self.folder / 'summary.json'
-        if not self.frames and path.exists():
+        if not self.frames and self._summary.exists():
             return
-        versions = {**machine_facts()['versions'], 'rosbags': version('rosbags')}
         summary = {
             'frames': self.frames,
             'left_out': self.left_out,
             'finished': finished,
             **facts,
-            'source': self._source,
-            'preset': preset,
-            'options': dataclasses.asdict(config),
-            'calibration': _calibration(self._rig) if self._rig else None,
-            'versions': versions,
+            **self._made_from,
+            'calibration': None,
+            'matched': self.matched,
+            **self._rig,
+            'progress': {
+                'pairs': self.pairs,
+                'refused': self.refused,
+                'cause': self.cause,
+                'chain': self.chain_state,
+            },
         }
-        if self._rig is not None:
-            summary['matched'] = self.matched
-            summary['baseline_m'] = self._rig.baseline_m
-            summary['focal_px'] = self._rig.focal_px
-            summary['frame'] = f'left rectified optical frame: {frame_text(self._rig.left)}'
-            summary['sigma'] = sigma_shares(self._rig.covariance is not None)
-            summary['depth_searched_m'] = [
-                depth if math.isfinite(depth) else None for depth in self._searched_m
-            ]
-        write_json(path, summary)
         if finished and self.frames:
             self._drop_earlier_frames()
+        write_json(self._summary, summary)
+
+    def close(self) -> None:
+        """Let other processes write to the folder."""
+        self._claim.release()
 
     def _drop_earlier_frames(self) -> None:
         """Remove the files of an earlier run that this run has not replaced."""
         endings = '|'.join(re.escape(spec.ending) for spec in FRAME_FORMATS.values())
         frame_file = re.compile(rf'(\d{{6,}})({endings})')
-        written = {spec.ending for spec in self._formats}
+        written = {spec.ending for spec in self._formats.values()}
         for path in self.folder.iterdir():
             found = frame_file.fullmatch(path.name)
             if found and (int(found[1]) >= len(self.frames) or found[2] not in written):
@@ -197,39 +254,10 @@ class ResultFolder:
 
     def _scale(self) -> str:
         """Return what all depths depend on, for the sentence."""
-        if self._rig is None:
+        if not self._rig:
             return ''
-        near, far = self._searched_m
+        near, far = (math.inf if one is None else one for one in self._rig['depth_searched_m'])
         return (
-            f'; baseline {self._rig.baseline_m:.4g} m, focal length {self._rig.focal_px:.0f} px,'
-            f' searched from {near:.3g} m to {reach(far)}'
+            f'; baseline {self._rig["baseline_m"]:.4g} m, focal length'
+            f' {self._rig["focal_px"]:.0f} px, searched from {near:.3g} m to {reach(far)}'
         )
-
-
-def _depth_range(depth_m: FloatImage) -> dict[str, float | None]:
-    values = depth_m[np.isfinite(depth_m)]
-    if values.size == 0:
-        return dict.fromkeys(('min', 'median', 'max'))
-    return {
-        'min': round(float(values.min()), 4),
-        'median': round(float(np.median(values)), 4),
-        'max': round(float(values.max()), 4),
-    }
-
-
-def _calibration(rig: StereoRig) -> dict[str, Any]:
-    return {
-        'image_size': list(rig.left.size),
-        'focal_px': rig.focal_px,
-        'baseline_m': rig.baseline_m,
-        'disparity_offset_px': rig.disparity_offset_px,
-        'left': _camera(rig.left),
-        'right': _camera(rig.right),
-    }
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    return {
-        'distortion_model': camera.distortion_model,
-        **{name: getattr(camera, name).tolist() for name in ('K', 'D', 'R', 'P')},
-    }

@@ -22,18 +22,20 @@ class ProgressBar:
         Number of steps.
     unit : str
         Name of the steps, in the plural.
+    before : int
+        Steps that are done already.
 
     """
 
-    def __init__(self, total: int, unit: str) -> None:
-        self._total, self._unit = max(1, total), unit
+    def __init__(self, total: int, unit: str, before: int = 0) -> None:
+        self._total, self._unit, self._before = max(1, total), unit, before
         self._start = time.monotonic()
         self._visible = sys.stderr.isatty()
         self._next_s = 0.0
 
     def __enter__(self) -> ProgressBar:  # noqa: PYI034 - Self is newer than Python 3.10
         """Draw the empty bar."""
-        self.show(0)
+        self.show(self._before)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -44,20 +46,22 @@ class ProgressBar:
     def show(self, done: int, note: str = '') -> None:
         """Draw the bar with ``done`` finished steps, and ``note`` after it."""
         now_s = time.monotonic()
-        if done and now_s < self._next_s:
+        begun = done > self._before
+        if begun and now_s < self._next_s:
             return
         if self._visible:
-            self._next_s = now_s + _REDRAW_PERIOD_S if done else 0.0
+            self._next_s = now_s + _REDRAW_PERIOD_S if begun else 0.0
             self._redraw(done, self._text(done, note, now_s))
         else:
             self._next_s = now_s + PLAIN_PERIOD_S
-            if done:
+            if begun:
                 print(self._text(done, note, now_s), file=sys.stderr, flush=True)
 
     def _text(self, done: int, note: str, now_s: float) -> str:
         text = f'{done} of {self._total} {self._unit}'
-        if done:
-            left_s = (now_s - self._start) / done * max(0, self._total - done)
+        if done > self._before:
+            step_s = (now_s - self._start) / (done - self._before)
+            left_s = step_s * max(0, self._total - done)
             text += f', {left_s:.0f} s left'
         return f'{text}  {note}' if note else text
 

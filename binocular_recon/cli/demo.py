@@ -26,7 +26,8 @@ def run(args: argparse.Namespace) -> None:
         If the bag is missing or the results cannot be written.
 
     """
-    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
+    from binocular_recon.apps.bag_input import BagInput
+    from binocular_recon.apps.bag_reconstruction import reconstruct_bag
 
     bags = _bags()
     source = BagInput(bag=bags / 'motorcycle')

@@ -29,6 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ' of an earlier run are replaced',
     )
     parser.add_argument(
+        '--resume',
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help='continue an interrupted run of the same input and options; --no-resume starts over',
+    )
+    parser.add_argument(
         '--every', type=positive(int), default=1, metavar='N', help='reconstruct every Nth pair'
     )
     parser.add_argument(
@@ -117,7 +123,8 @@ def run(args: argparse.Namespace) -> None:
         If nothing can be reconstructed; or, after the rest was, if a part could not be.
 
     """
-    from binocular_recon.apps.bag_reconstruction import BagInput, reconstruct_bag
+    from binocular_recon.apps.bag_input import BagInput
+    from binocular_recon.apps.bag_reconstruction import reconstruct_bag
 
     source = BagInput(
         bag=args.bag,
@@ -147,6 +154,7 @@ def run(args: argparse.Namespace) -> None:
             config,
             formats=formats,
             least_matched=args.least_matched / 100,
+            resume=args.resume,
             report=note,
         )
     )

@@ -59,6 +59,18 @@ class _Span(NamedTuple):
     low: float
     high: float
 
+    def state(self) -> tuple[float, float] | None:
+        """Return the levels, or None without data, as JSON can hold it."""
+        return (self.low, self.high) if self.low <= self.high else None
+
+    @classmethod
+    def restored(cls, state: tuple[float, float] | None) -> _Span:
+        """Return the span of a `state`."""
+        return _NO_DATA if state is None else cls(*state)
+
+
+_NO_DATA = _Span(np.inf, -np.inf)
+
 
 def find_levels(*images: npt.NDArray[Any]) -> Levels:
     """Return black and white of images of one type, from their values.
@@ -96,6 +108,18 @@ class LevelTracker:
         found = {name: self._of(kind, images) for name, kind in kinds.items()}
         return tuple(found[image.dtype.name] for image in images)
 
+    def state(self) -> dict[str, Any]:
+        """Return what the levels of later frames depend on, as JSON can hold it."""
+        with self._lock:
+            return {name: stream.state() for name, stream in self._streams.items()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        with self._lock:
+            self._streams = {
+                name: _Stream(np.dtype(name), values) for name, values in state.items()
+            }
+
     def _of(self, kind: np.dtype[Any], images: tuple[npt.NDArray[Any], ...]) -> Levels:
         if kind == np.uint8:
             return EIGHT_BIT
@@ -109,11 +133,22 @@ class LevelTracker:
 class _Stream:
     """Levels of the images of one type."""
 
-    def __init__(self, kind: np.dtype[Any]) -> None:
+    def __init__(self, kind: np.dtype[Any], state: dict[str, Any] | None = None) -> None:
         self._kind = kind
         self._levels: Levels | None = None
-        self._span = _Span(np.inf, -np.inf)
+        self._span = _NO_DATA
         self._smaller: list[_Span] = []
+        if state is not None:
+            self._levels = Levels(*state['levels'])
+            self._span = _Span.restored(state['span'])
+            self._smaller = [_Span.restored(span) for span in state['smaller']]
+
+    def state(self) -> dict[str, Any]:
+        return {
+            'levels': self._levels,
+            'span': self._span.state(),
+            'smaller': [span.state() for span in self._smaller],
+        }
 
     def update(self, span: _Span) -> Levels:
         now, needed = self._levels, _levels(span, self._kind)
@@ -126,7 +161,7 @@ class _Stream:
         else:
             self._smaller.append(span)
             if len(self._smaller) >= SHRINK_AFTER:
-                self._span = _Span(np.inf, -np.inf)
+                self._span = _NO_DATA
                 for one in self._smaller:
                     self._span = _union(self._span, one)
                 self._levels = _levels(self._span, self._kind)
@@ -157,7 +192,7 @@ def _negative(span: _Span, white: float) -> bool:
 
 def _joint_span(images: Any) -> _Span:
     """Return the lowest and the highest level of all images; inf and -inf without data."""
-    joint = _Span(np.inf, -np.inf)
+    joint = _NO_DATA
     for image in images:
         colours = image[..., :3] if image.ndim == 3 else image  # alpha has its own white
         step = max(1, int(np.sqrt(colours.size / _SAMPLES)))

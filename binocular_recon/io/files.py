@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
+import re
 import shutil
 import signal
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -22,6 +25,8 @@ except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# What a process that was killed leaves of files that were not complete.
+_PART = re.compile(r'\.(.+\.)?\d+\.part')
 
 
 def make_folder(path: Path) -> None:
@@ -34,12 +39,54 @@ def make_folder(path: Path) -> None:
         ) from error
 
 
+class ClaimedFolder:
+    """A folder that one process writes to; what killed ones left half written is removed.
+
+    The claim ends with the process however that ends, by `release`, or with this object.
+
+    Parameters
+    ----------
+    path : Path
+        Made with its parents if it does not exist.
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be made, or another process writes to it.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        make_folder(path)
+        handle = os.open(path, os.O_RDONLY)
+        self.release = weakref.finalize(self, os.close, handle)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FileError(
+                f'another process writes to {path}; wait until it is done or choose another folder'
+            ) from None
+        except OSError:  # a network file system without locks
+            return
+        for part in path.iterdir():
+            if _PART.fullmatch(part.name):
+                _remove(part)
+
+
+def _remove(part: Path) -> None:
+    """Remove a file or a folder, if that is possible."""
+    if part.is_dir():
+        shutil.rmtree(part, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        part.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def complete_file(path: Path) -> Iterator[BinaryIO]:
     """Open a binary file that appears under its name when it is complete.
 
     After an interruption or on a full disk, no part of the new file remains, and an old file of
-    this name is unchanged.
+    this name is unchanged. After a power cut the file is complete or the old one.
 
     Parameters
     ----------
@@ -65,6 +112,8 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
             return
         with part.open('wb') as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
         raise FileError(f'{path} cannot be written: {_reason(error)}; {_remedy(error)}') from error
@@ -78,14 +127,14 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
     """Open a temporary folder whose files move to ``folder`` once all of them are complete.
 
     After an interruption or on a full disk, none of the new files remains, and old files are
-    unchanged.
+    unchanged. After a power cut each file is complete, and before ``completed`` all are on disk.
 
     Parameters
     ----------
     folder : Path
         Final folder of the files; it must exist.
     completed : callable
-        Called when all files are in place, before an interruption can be noticed.
+        Called when all files are in place, before SIGINT or SIGTERM can be noticed.
 
     Yields
     ------
@@ -99,12 +148,17 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
 
     """
     parts = folder / f'.{os.getpid()}.part'
+    _remove(parts)  # in a container every process may have the number of one that was killed
     make_folder(parts)
     try:
         yield parts
-        with _interrupts_deferred():
-            for part in sorted(parts.iterdir()):
+        complete = sorted(parts.iterdir())
+        for part in complete:
+            flush(part)
+        with _signals_deferred():
+            for part in complete:
                 part.replace(folder / part.name)
+            flush(folder)
             completed()
     except FileError:
         raise
@@ -117,19 +171,26 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
 
 
 @contextlib.contextmanager
-def _interrupts_deferred() -> Iterator[None]:
-    """Let Ctrl-C wait until the end of the block; Python delivers it to the main thread only."""
+def _signals_deferred() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait until the end of the block.
+
+    Python delivers them to the main thread only.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    noticed: list[object] = []
-    before = signal.signal(signal.SIGINT, lambda *_: noticed.append(True))
+    noticed: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: noticed.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     if noticed:
-        raise KeyboardInterrupt
+        signal.raise_signal(noticed[0])
 
 
 @contextlib.contextmanager

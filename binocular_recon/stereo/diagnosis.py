@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -49,8 +50,24 @@ class Findings(NamedTuple):
     warnings: tuple[str, ...] = ()
     cause: str = ''
 
+    def state(self) -> dict[str, Any]:
+        """Return these findings as JSON can hold them."""
+        rows = [None if math.isnan(value) else value for value in self.rows]
+        return {'rows': rows, 'warnings': self.warnings, 'cause': self.cause}
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> Findings:
+        """Return the findings of a `state`."""
+        median_px, spread_px, points = (
+            math.nan if value is None else value for value in state['rows']
+        )
+        rows = RowOffset(median_px, spread_px, int(points))
+        return cls(rows, tuple(state['warnings']), state['cause'])
+
 
 NOTHING = Findings()
+# Pairs by whether few of their pixels are matched.
+_KINDS = {'enough matched': False, 'few matched': True}
 
 
 class PairCheck:
@@ -59,8 +76,8 @@ class PairCheck:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         # apart for pairs of which few pixels are matched, and others
-        self._counts = {False: 0, True: 0}
-        self._last = {False: NOTHING, True: NOTHING}
+        self._counts = dict.fromkeys(_KINDS.values(), 0)
+        self._last = dict.fromkeys(_KINDS.values(), NOTHING)
 
     def update(
         self,
@@ -98,6 +115,22 @@ class PairCheck:
         elif due:
             self._last[few] = _examined(left, right, matched)
         return self._last[few]
+
+    def state(self) -> dict[str, Any]:
+        """Return what the findings of later pairs depend on, as JSON can hold it."""
+        with self._lock:
+            return {
+                name: {'count': self._counts[few], 'last': self._last[few].state()}
+                for name, few in _KINDS.items()
+            }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        with self._lock:
+            self._counts = {few: state[name]['count'] for name, few in _KINDS.items()}
+            self._last = {
+                few: Findings.restored(state[name]['last']) for name, few in _KINDS.items()
+            }
 
 
 def _examined(left: FloatImage, right: FloatImage, matched: Match) -> Findings:

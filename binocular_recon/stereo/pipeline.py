@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.images import Image, mark_empty, to_bgr8, to_grey
+from binocular_recon.images import FloatImage, Image, mark_empty, to_bgr8, to_grey
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
@@ -98,7 +99,7 @@ class Chain:
         self._filter = DisparityFilter(config.filter)
         self._levels = LevelTracker(config.images)
         self._check = PairCheck()
-        self._count = itertools.count()
+        self._numbers, self._frames = itertools.count(), 0
         self._rectifier = Rectifier(rig, alpha) if rectify else None
         self.rig = self._rectifier.rig if self._rectifier else rig
 
@@ -117,6 +118,8 @@ class Chain:
 
         """
         left, right = self._rectify(left, right)
+        number = next(self._numbers)
+        self._frames = number + 1
         found = estimate_disparity(
             left,
             right,
@@ -124,7 +127,7 @@ class Chain:
             self._filter,
             infinity_px=self.rig.disparity_offset_px,
             turns=self.rig.turns,
-            check_range=next(self._count) % CHECK_EVERY == 0,
+            check_range=number % CHECK_EVERY == 0,
             levels=self._levels,
             check=self._check,
         )
@@ -147,6 +150,36 @@ class Chain:
             found.findings,
             self.config.cloud,
         )
+
+    def state(self) -> dict[str, Any]:
+        """Return what results of later frames depend on, besides the last disparities.
+
+        It is a value for JSON. A chain with the same rig and options that `restore` it goes on as
+        this one would, to the bit.
+        """
+        return {
+            'frames': self._frames,
+            'levels': self._levels.state(),
+            'check': self._check.state(),
+            'starts_from_last': self._filter.last is not None,
+        }
+
+    def restore(self, state: dict[str, Any], last_px: FloatImage | None = None) -> None:
+        """Go on from a `state`.
+
+        Parameters
+        ----------
+        state : dict
+            As `state` returned it.
+        last_px : (H, W) float32, optional
+            Filtered disparity of the last reconstructed frame; needed with ``wls_video``.
+
+        """
+        self._numbers, self._frames = itertools.count(state['frames']), state['frames']
+        self._levels.restore(state['levels'])
+        self._check.restore(state['check'])
+        if state['starts_from_last'] and last_px is not None:
+            self._filter.last = turn(last_px, self.rig.turns)
 
     def search(self, disparities: SearchRange) -> None:
         """Search these disparities from now on, instead of those in the options."""

@@ -49,7 +49,7 @@ def test_a_full_disk_keeps_the_finished_frames(
 
     cloud = FRAME_FORMATS['cloud']._replace(write=find_no_space)
     monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
-    assert reconstruct(bag, output) == 1
+    assert reconstruct(bag, output, '--no-resume') == 1
     assert 'No space left on device; free some space' in capsys.readouterr().err
     summary = json.loads((output / 'summary.json').read_text())
     assert (len(summary['frames']), summary['finished']) == (1, False)

@@ -74,12 +74,17 @@ class DisparityFilter:
     config : FilterConfig
         Options of the filter.
 
+    Attributes
+    ----------
+    last : (H, W) float32, optional
+        With ``wls_video`` the last solution, from which the next one starts.
+
     """
 
     def __init__(self, config: FilterConfig) -> None:
         self.config = config
         self._spare: deque[System] = deque(maxlen=1)
-        self._last: FloatImage | None = None
+        self.last: FloatImage | None = None
 
     def __call__(
         self,
@@ -109,7 +114,7 @@ class DisparityFilter:
         margin = min(LIMIT_MARGIN_PX, (high - low) / 2)
         filtered = np.clip(solution.values, np.float32(low + margin), np.float32(high - margin))
         self._spare.append(system)
-        self._last = filtered if self.config.wls_video else None
+        self.last = filtered if self.config.wls_video else None
         return Filtered(filtered, sigma, validity, solution.iterations, solution.error_estimate)
 
     def _system(self, rows: int, columns: int) -> System:
@@ -121,7 +126,7 @@ class DisparityFilter:
         return System(rows, columns)
 
     def _last_solution(self, shape: tuple[int, ...]) -> FloatImage | None:
-        last = self._last
+        last = self.last
         return last if last is not None and last.shape == shape else None
 
 

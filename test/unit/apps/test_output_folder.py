@@ -51,7 +51,7 @@ def run(folder: Path, frames: int, *formats: str) -> ResultFolder:
     results = ResultFolder(folder, {}, formats=formats)
     for index in range(frames):
         results.add(index, RIG, reconstruction(), 0.5)
-    results.write_summary('default', ChainConfig(), finished=True)
+    results.write_summary(finished=True)
     return results
 
 
@@ -150,14 +150,14 @@ def test_files_of_others_are_kept(tmp_path: Path) -> None:
 
 
 def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
-    results = ResultFolder(tmp_path, {'bag': 'b'})
+    results = ResultFolder(tmp_path, {'source': {'bag': 'b'}, 'preset': 'fast'})
     results.add(7, RIG, reconstruction(), 0.5)
     camera = RIG.right
     P = camera.P * np.array([1, 1, 1, 0.5])
     other = StereoRig(RIG.left, Camera(*camera.size, camera.K, camera.D, camera.R, P))
     results.add(8, other, reconstruction(), 1.5)
     results.leave_out(9, ValueError('too dark'))
-    results.write_summary('fast', ChainConfig(), finished=False, unpaired=3)
+    results.write_summary(finished=False, unpaired=3)
     summary = json.loads((tmp_path / 'summary.json').read_text())
     first, second = summary['frames']
     pixels = bag_tools.HEIGHT * bag_tools.WIDTH

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An earlier run in an output folder: whether this one may continue it.
+
+A run is continued only by the same one: the same recording, options and versions, because its
+files are then those of a run that was never interrupted. All of that is in ``summary.json``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from binocular_recon.errors import FileError
+
+# What of a summary says how the frames are made.
+MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
+# Where a recording lies does not matter.
+_ANYWHERE = {'source.bag'}
+# Of each end of a file of a recording so much is compared, bytes.
+_END = 1 << 16
+
+
+def earlier_run(
+    folder: Path, made_from: dict[str, Any], endings: list[str]
+) -> dict[str, Any] | None:
+    """Return the summary of the run that this one continues, None if it starts anew.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder.
+    made_from : dict
+        The `MADE_FROM` of this run.
+    endings : list of str
+        What follows the number of a frame in the names of its files.
+
+    Raises
+    ------
+    FileError
+        If the run in the folder was interrupted and this one is another.
+
+    """
+    path = folder / 'summary.json'
+    if not path.exists():
+        return None
+    summary = _read(path)
+    if summary.get('finished') is not False and 'progress' not in summary:
+        return None  # of another version, or of another program
+    frames = summary.get('frames') or []
+    reason = _difference(summary, made_from) or _missing(folder, frames, endings)
+    if not reason:
+        return summary
+    if summary.get('finished') or not frames:
+        return None
+    raise FileError(
+        f'{folder} holds {len(frames)} finished frames of an interrupted run that cannot be'
+        f' continued: {reason}; choose another folder, or start over (--no-resume)'
+    )
+
+
+def fingerprint(path: Path) -> dict[str, str]:
+    """Return size and a digest of both ends of each file of a recording or calibration, by name.
+
+    Reading all of a recording would take as long as reconstructing some of it.
+    """
+    files = sorted(one for one in path.rglob('*') if one.is_file()) if path.is_dir() else [path]
+    return {one.name: _digest(one) for one in files}
+
+
+def _digest(path: Path) -> str:
+    try:
+        with path.open('rb') as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            content = file.read(_END)
+            file.seek(max(0, size - _END))
+            content += file.read(_END)
+    except OSError as error:
+        raise FileError(
+            f'{path} cannot be read: {error.strerror}; check its permissions'
+        ) from error
+    return f'{size} bytes, {hashlib.sha256(content).hexdigest()[:16]}'
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_bytes())
+    except OSError as error:
+        raise FileError(
+            f'{path} cannot be read: {error.strerror}; choose another folder'
+        ) from error
+    except ValueError:
+        summary = None
+    # not written by us: what lies around it is not either
+    return summary if isinstance(summary, dict) else {}
+
+
+def _difference(summary: dict[str, Any], made_from: dict[str, Any]) -> str:
+    """Return what an earlier run was made with and this one is not; '' if all is the same."""
+    if 'progress' not in summary:
+        return 'its summary.json does not say where it ended'
+    before = dict(_flat({name: summary.get(name) for name in MADE_FROM}))
+    now = dict(_flat(json.loads(json.dumps(made_from))))
+    for name in [*now, *before]:
+        if before.get(name) != now.get(name) and name not in _ANYWHERE:
+            shown = name.rpartition('.')[2] if name.startswith('options.') else name
+            return f'its {shown} is {before.get(name)}, now it is {now.get(name)}'
+    return ''
+
+
+def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield every value of nested dicts, by the names that lead to it."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield f'{prefix}{name}', value
+
+
+def _missing(folder: Path, frames: list[dict[str, Any]], endings: list[str]) -> str:
+    for frame in frames:
+        for ending in endings:
+            path = folder / f'{frame["index"]:06d}{ending}'
+            if not path.exists():
+                return f'{path.name} is missing'
+    return ''
