@@ -97,7 +97,7 @@ def arguments() -> dict[str, Any]:
             'console_scripts': [
                 f'binocular-recon = {PACKAGE}.cli.main:main',
                 f'play_bag = {PACKAGE}.cli.play:main',
-                *(f'{node} = {PACKAGE}.nodes.{node}:main' for node in NODES),
+                *(f'{node} = {PACKAGE}.nodes.executables:{node}' for node in NODES),
             ],
         },
     }

@@ -166,7 +166,7 @@ def test_executables_are_the_nodes_and_the_command_line() -> None:
     scripts = INSTALLED.entry_points.select(group='console_scripts')
     declared = {script.name: script.value for script in scripts}
     mains = {
-        path.stem: f'binocular_recon.nodes.{path.stem}:main'
+        path.stem: f'binocular_recon.nodes.executables:{path.stem}'
         for path in (PACKAGE / 'nodes').glob('*_node.py')
     }
     assert {'rectify_node', 'match_node', 'wls_filter_node', 'calibration_node'} <= set(mains)

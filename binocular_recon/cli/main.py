@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from binocular_recon import __version__
+from binocular_recon._signals import Terminated, ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 
 # The program's name in all messages, however it was started.
@@ -32,7 +33,7 @@ COMMANDS = {
     'benchmark': 'measure speed and memory of every stage, against its peers',
 }
 
-EXIT_DONE, EXIT_PROBLEM, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_DONE, EXIT_PROBLEM, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_TERMINATED = 0, 1, 2, 130, 143
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,16 +42,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        Arguments without the program's name; by default those of the process.
+        Arguments without the program's name; by default those of the process, which then ends at
+        once when it is interrupted.
 
     Returns
     -------
     status : int
-        0 done, 1 a problem with the input, 2 wrong usage, 130 interrupted. Unless it is 0, one
-        line on stderr says why. Arguments that do not parse raise ``SystemExit(2)``.
+        0 done, 1 a problem with the input, 2 wrong usage, 130 interrupted, 143 terminated. Unless
+        it is 0, one line on stderr says why. Arguments that do not parse raise ``SystemExit(2)``.
 
     """
+    of_process = argv is None
     argv = sys.argv[1:] if argv is None else argv
+    command = _command(argv)
+    program = f'{PROGRAM} {command}' if command in COMMANDS else PROGRAM
+    try:
+        if of_process:
+            raise_signals()
+        return _run(argv, program)
+    except KeyboardInterrupt as interrupt:
+        if of_process:
+            ignore_signals()
+        terminated = isinstance(interrupt, Terminated)
+        kept = f'; {interrupt}' if str(interrupt) else ''
+        print(f'{program}: {"terminated" if terminated else "interrupted"}{kept}', file=sys.stderr)
+        status = EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
+    if of_process:
+        leave(status)
+    return status
+
+
+def _run(argv: Sequence[str], program: str) -> int:
     args = _parser(argv).parse_args(argv)
     try:
         command_module(args.command).run(args)
@@ -61,13 +83,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         message = ' '.join(str(error).split())
         if isinstance(error, MemoryError):
             message = f'{message}; choose a smaller disparity_range or smaller images'
-        print(f'{PROGRAM} {args.command}: {message}', file=sys.stderr)
+        print(f'{program}: {message}', file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_PROBLEM
-    except KeyboardInterrupt as interrupt:
-        kept = f'; {interrupt}' if str(interrupt) else ''
-        print(f'{PROGRAM} {args.command}: interrupted{kept}', file=sys.stderr)
-        return EXIT_INTERRUPTED
     return EXIT_DONE
+
+
+def _command(argv: Sequence[str]) -> str:
+    """Return the command that is named, '' if none is."""
+    return next((word for word in argv if not word.startswith('-')), '')
 
 
 def command_module(name: str) -> ModuleType:
@@ -84,7 +107,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'{PROGRAM} {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    chosen = next((word for word in argv if not word.startswith('-')), None)
+    chosen = _command(argv)
     for name, summary in COMMANDS.items():
         command = commands.add_parser(
             name, help=summary, description=summary[0].upper() + summary[1:] + '.'

@@ -74,4 +74,5 @@ def main() -> int:
     """Run as the executable ``play_bag``."""
     from binocular_recon.cli.main import main as run_command
 
-    return run_command(['play', *sys.argv[1:]])
+    sys.argv[1:] = ['play', *sys.argv[1:]]
+    return run_command()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -53,13 +52,12 @@ def play(
     ConfigError
         If ROS rejects ``ros_args``.
     KeyboardInterrupt
-        On SIGINT and SIGTERM, after the publishers were closed.
+        After an interruption, when the publishers have been closed.
 
     """
     with Bag(path) as bag:
         command_line = ['play_bag', *(['--ros-args', *ros_args] if ros_args else [])]
         init_ros(command_line, signal_handler_options=SignalHandlerOptions.NO)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         node = Node('play_bag', start_parameter_services=False)
         try:
             player = Player(node, bag, rate=rate, clock=clock)

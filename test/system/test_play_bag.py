@@ -147,7 +147,7 @@ def test_quality_of_service_is_that_of_the_recording(
         (offer,) = wait_until(offered, f'{topic} offered')
         offers.append(offer.qos_profile)
     process.send_signal(signal.SIGTERM)
-    finish(process, 130)
+    finish(process, 143)
     latched, lossy = offers
     assert latched.durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert latched.reliability == ReliabilityPolicy.RELIABLE

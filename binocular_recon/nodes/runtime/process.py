@@ -19,6 +19,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from binocular_recon._signals import ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 
 # The source location that ROS appends to its errors.
@@ -68,7 +69,8 @@ def run_node(
     make_node : callable
         Returns the node, such as its class.
     args : sequence of str, optional
-        Command line with the program's name; that of the process by default.
+        Command line with the program's name; that of the process by default, whose signals then
+        end it.
     threads : int
         Callbacks that can run at the same time.
 
@@ -78,9 +80,10 @@ def run_node(
         Exit status: 0 when interrupted, 1 if arguments or parameters are not valid.
 
     """
-    node = None
-    sys.unraisablehook = _show_unraisable
+    node, interrupted, of_process = None, False, args is None
     try:
+        if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
+            raise_signals()
         init_ros(sys.argv if args is None else args)
         node = make_node()
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
@@ -89,19 +92,17 @@ def run_node(
         get_logger('binocular_recon').fatal(str(error))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        interrupted = True
     except RuntimeError:
-        # Ctrl-C in a destructor is not raised; spinning then finds that ROS was shut down
+        # the interrupt may come as an error of ROS, which is shut down then
         if node is None or rclpy.ok():
             raise
     finally:
+        if of_process:
+            ignore_signals()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+    if of_process and interrupted and node is None:
+        leave(0)
     return 0
-
-
-def _show_unraisable(unraisable: Any) -> None:
-    """Show an exception that a destructor cannot raise, unless it is Ctrl-C."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(unraisable)

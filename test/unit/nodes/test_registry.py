@@ -37,5 +37,8 @@ def test_a_node_declares_its_topics_services_and_options(name: str) -> None:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_node_has_a_main_function(name: str) -> None:
+def test_a_node_has_a_main_function_and_an_executable(name: str) -> None:
+    from binocular_recon.nodes import executables
+
+    assert callable(getattr(executables, name))
     assert callable(importlib.import_module(f'binocular_recon.nodes.{name}').main)

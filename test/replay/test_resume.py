@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``reconstruct`` continues what was interrupted: the files are those of an undisturbed run."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from binocular_recon.apps.frame_formats import FRAME_FORMATS
+from binocular_recon.io.files import ClaimedFolder
+from binocular_recon.io.messages.images import fill_image
+from binocular_recon.io.ply import write_ply
+from test.bag_tools import (
+    HEIGHT,
+    PERIOD_NS,
+    START_NS,
+    WIDTH,
+    header,
+    image_pair,
+    info_message,
+    rig,
+    stereo_records,
+    write_bag,
+)
+from test.replay.reconstruction import RANGE, reconstruct
+
+FRAMES, LEFT_OUT = 8, 3
+# Everything that a frame takes over from those before it.
+STATEFUL = ('--wls-video', '--drawings')
+
+
+def exposed_bag(folder: Path) -> Path:
+    """Write 16-bit pairs that get brighter and dark again: what is white depends on the stream.
+
+    One pair has another size, and the calibration changes once.
+    """
+    records = []
+    for index in range(FRAMES):
+        stamp_ns = START_NS + index * PERIOD_NS
+        cameras = rig(80.0 if index < 6 else 81.0)
+        size = (HEIGHT, WIDTH) if index != LEFT_OUT else (HEIGHT - 8, WIDTH)
+        gain = (2, 3, 40, 40, 3, 2, 2, 2)[index]
+        for side, camera, pixels in zip(
+            ('left', 'right'), (cameras.left, cameras.right), image_pair(index, size), strict=True
+        ):
+            message: Any = stereo_records(1)[1][1]
+            grey = pixels[..., 0].astype(np.uint16) * gain
+            fill_image(message, grey, 'mono16', header(stamp_ns))
+            records += [
+                (f'/{side}/camera_info', info_message(camera, stamp_ns), stamp_ns),
+                (f'/{side}/image_raw', message, stamp_ns + 1),
+            ]
+    return write_bag(folder / 'bag', records)
+
+
+def contents(output: Path) -> dict[str, Any]:
+    """Return every file of an output folder; the summary without the times that frames took."""
+    files: dict[str, Any] = {path.name: path.read_bytes() for path in output.iterdir()}
+    summary = json.loads(files.pop('summary.json'))
+    for frame in summary['frames']:
+        assert frame.pop('seconds') >= 0
+    return {**files, 'summary': summary}
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exposed_bag(tmp_path_factory.mktemp('exposed'))
+
+
+@pytest.fixture(scope='module')
+def undisturbed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what a run makes that nothing interrupts."""
+    output = tmp_path_factory.mktemp('undisturbed')
+    assert reconstruct(bag, output, *STATEFUL) == 1  # a pair is left out
+    found = contents(output)
+    assert len(found) == 5 * (FRAMES - 1) + 1
+    levels = found['summary']['progress']['chain']['levels']['uint16']
+    assert levels['levels'] == [0, 1020]  # of the new calibration's chain
+    return found
+
+
+@pytest.mark.parametrize('interrupted', range(FRAMES - 1))
+def test_a_run_interrupted_at_any_frame_is_continued(
+    bag: Path,
+    undisturbed: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    interrupted: int,
+) -> None:
+    made: list[str] = []
+
+    def interrupt(path: Path, *parts: Any) -> int:
+        made.append(path.name)
+        if len(made) == interrupted + 1:
+            raise KeyboardInterrupt
+        return write_ply(path, *parts)
+
+    cloud = FRAME_FORMATS['cloud']._replace(write=interrupt)
+    monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
+    assert reconstruct(bag, tmp_path, *STATEFUL) == 130
+    assert json.loads((tmp_path / 'summary.json').read_text())['finished'] is False
+    assert reconstruct(bag, tmp_path, *STATEFUL) == 1
+    assert contents(tmp_path) == undisturbed
+    assert len(made) == FRAMES  # only the interrupted one was made twice
+
+
+# What is there when a run is killed, and how.
+KILLS = (
+    ('.*.part', signal.SIGKILL),
+    ('000001*', signal.SIGKILL),
+    ('.summary.json.*', signal.SIGKILL),
+    ('000003_disparity.pfm', signal.SIGTERM),
+    ('000004.ply', signal.SIGINT),
+    ('000006*', signal.SIGKILL),
+)
+
+
+# Runs a command in a process of its own per line of input, and says which process and how it
+# ended. Programs and kernels are loaded once.
+RUNNER = """
+import json, os, sys
+import cv2
+cv2.setNumThreads(1)  # its threads would not survive the fork
+from binocular_recon.apps import bag_reconstruction
+from binocular_recon.cli.main import main
+from binocular_recon.config import ChainConfig
+from binocular_recon.stereo.pipeline import warm_up
+warm_up(ChainConfig())
+for line in sys.stdin:
+    child = os.fork()
+    if not child:
+        sys.argv[1:] = json.loads(line)
+        sys.exit(main())
+    print(child, flush=True)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+def test_a_run_killed_again_and_again_is_continued(
+    bag: Path, undisturbed: dict[str, Any], tmp_path: Path
+) -> None:
+    output = tmp_path / 'out'
+    output.mkdir()
+    words = ['reconstruct', str(bag), '--output', str(output), *RANGE, *STATEFUL]
+    with (tmp_path / 'log').open('w') as log:
+        pipe = subprocess.PIPE
+        command = [sys.executable, '-c', RUNNER]
+        runner = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, text=True)
+    assert runner.stdin and runner.stdout
+    with runner:
+        statuses = []
+        for pattern, number in (*KILLS, ('summary.json', 0)):
+            runner.stdin.write(json.dumps(words) + '\n')
+            runner.stdin.flush()
+            process = int(runner.stdout.readline())
+            while number and not any(output.glob(pattern)) and _runs(process):
+                time.sleep(0.001)
+            if number:
+                os.kill(process, number)
+            statuses.append(int(runner.stdout.readline()))
+        runner.stdin.close()
+    said = (tmp_path / 'log').read_text()
+    assert 'Traceback' not in said, said
+    assert statuses[:3] == [-signal.SIGKILL] * 3
+    assert statuses[3:5] == [143, 130]
+    assert re.search('reconstruct: terminated; [3-7] finished frames are kept', said)
+    assert statuses[-1] == 1
+    assert contents(output) == undisturbed
+
+
+def _runs(process: int) -> bool:
+    return 'Z' not in Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()[0]
+
+
+def test_a_finished_run_is_not_made_again(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reconstruct(bag, tmp_path, '--max-frames', '2') == 0
+    said = capsys.readouterr().out
+    before = {path.name: path.stat() for path in tmp_path.iterdir()}
+    assert reconstruct(bag, tmp_path, '--max-frames', '2') == 0
+    again = capsys.readouterr()
+    assert again.out == said
+    assert 'is finished already; --no-resume computes it again' in again.err
+    assert {path.name: path.stat() for path in tmp_path.iterdir()} == before
+    (tmp_path / '000001.ply').unlink()
+    assert reconstruct(bag, tmp_path, '--max-frames', '2') == 0
+    assert (tmp_path / '000001.ply').exists()
+
+
+def interrupted_run(bag: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave a run with two finished frames."""
+
+    def interrupt(path: Path, *parts: Any) -> int:
+        if path.name == '000002.ply':
+            raise KeyboardInterrupt
+        return write_ply(path, *parts)
+
+    with monkeypatch.context() as patched:
+        cloud = FRAME_FORMATS['cloud']._replace(write=interrupt)
+        patched.setitem(FRAME_FORMATS, 'cloud', cloud)
+        assert reconstruct(bag, output) == 130
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        (('--speckle-size', '7'), 'its speckle_size is 200, now it is 7'),
+        (('--every', '2'), 'its source.every is 1, now it is 2'),
+        (('--preset', 'fast'), 'its preset is default, now it is fast'),
+        (('--drawings',), 'its formats is '),
+    ],
+)
+def test_another_run_does_not_replace_an_interrupted_one(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    change: tuple[str, ...],
+    reason: str,
+) -> None:
+    interrupted_run(bag, tmp_path, monkeypatch)
+    before = contents(tmp_path)
+    assert reconstruct(bag, tmp_path, *change) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert f'{tmp_path} holds 2 finished frames of an interrupted run' in error
+    assert reason in error
+    assert error.endswith('choose another folder, or start over (--no-resume)')
+    assert contents(tmp_path) == before
+    assert reconstruct(bag, tmp_path, *change, '--no-resume', '--max-frames', '1') == 0
+    assert contents(tmp_path)['summary']['finished'] is True
+
+
+def test_another_recording_or_a_missing_file_is_noticed(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    output = tmp_path / 'out'
+    interrupted_run(bag, output, monkeypatch)
+    other = write_bag(tmp_path / 'bag', stereo_records(3))
+    assert reconstruct(other, output) == 1
+    assert 'its source.files.bag.mcap is ' in capsys.readouterr().err
+    (output / '000000.ply').unlink()
+    assert reconstruct(bag, output) == 1
+    assert '000000.ply is missing' in capsys.readouterr().err
+
+
+def test_a_summary_of_others_is_no_earlier_run(bag: Path, tmp_path: Path) -> None:
+    for text in ('', 'no JSON', '[1]', '{"mine": 1}'):
+        (tmp_path / 'summary.json').write_text(text)
+        assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
+        assert contents(tmp_path)['summary']['finished'] is True
+
+
+def test_two_runs_do_not_write_to_one_folder(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claim = ClaimedFolder(tmp_path)
+    assert reconstruct(bag, tmp_path) == 1
+    assert f'another process writes to {tmp_path}; wait until it is' in capsys.readouterr().err
+    claim.release()
+    (tmp_path / f'.{os.getpid()}.part').mkdir()  # of a process that was killed
+    (tmp_path / f'.{os.getpid()}.part' / '000009.ply').write_text('cut')
+    (tmp_path / '.summary.json.1.part').write_text('cut')
+    (tmp_path / '.mine.part').write_text('kept')
+    assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
+    assert {path.name for path in tmp_path.glob('.*')} == {'.mine.part'}
+    assert not (tmp_path / '000009.ply').exists()
