@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy.typing as npt
 
-from binocular_recon._kernel_cache import watch_cache
+from binocular_recon._kernel_cache import enable_cache
 
 F = TypeVar('F', bound=Callable[..., Any])
 Array = npt.NDArray[Any]  # in kernels: numba infers the dtype
@@ -53,14 +53,13 @@ def inline_kernel(function: F) -> F:
 def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F:
     decorate = numba.njit(
         nogil=True,
-        cache=True,
         fastmath=fastmath or False,
         error_model='numpy',
         boundscheck=False,
         forceinline=forceinline,
     )
     compiled: Any = decorate(function)
-    watch_cache(compiled, function)
+    enable_cache(compiled, function)
     return cast('F', compiled)
 
 

@@ -10,9 +10,11 @@ import pickle
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numba
 import numpy as np
 import pytest
 
@@ -63,31 +65,109 @@ def test_a_kernel_is_compiled_again_if_one_that_it_calls_changes(
     assert hits == [0, 0, 1]
 
 
-@pytest.mark.parametrize('damage', ['cut index', 'cut data', 'unknown class'])
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def fill(path: Path, byte: bytes) -> None:
+    """Blocks of a file that never reached the disk are 0; the size is right."""
+    content = path.read_bytes()
+    middle = len(content) // 2
+    path.write_bytes(content[:middle] + byte * 64 + content[middle + 64 :])
+
+
+def replace_by_a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    'cut': cut,
+    'empty': lambda path: path.write_bytes(b''),
+    'garbage': lambda path: path.write_bytes(np.random.default_rng(0).bytes(4000)),
+    'a block of zeros': lambda path: fill(path, b'\0'),
+    'a block of ones': lambda path: fill(path, b'\xff'),
+    'of another version': lambda path: path.write_bytes(pickle.dumps('0.1') + b'whatever'),
+    'of an unknown class': lambda path: path.write_bytes(
+        pickle.dumps(numba.__version__, protocol=-1) + b'cmissing_module\nmissing\n.'
+    ),
+    'gone': lambda path: path.unlink(),
+    'a folder': replace_by_a_folder,
+}
+
+
+@pytest.mark.parametrize('damage', DAMAGES)
+@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
 def test_a_damaged_cache_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, pattern: str
 ) -> None:
     inner = tmp_path / '_inner_kernels.py'
     inner.write_text(INNER.format(5))
     monkeypatch.delitem(sys.modules, inner.stem, raising=False)
-    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
     monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.setattr(_kernel_cache, '_problems', [])
     assert load(inner).inner() == 5
-    pattern = '*.nbc' if damage == 'cut data' else '*.nbi'
     (file,) = tmp_path.rglob(pattern)
-    content = file.read_bytes()
-    if damage == 'unknown class':
-        version = pickle.loads(content)
-        content = pickle.dumps(version) + b'cmissing_module\nmissing\n.'
-    else:
-        content = content[: len(content) // 2]
-    file.write_bytes(content)
+    DAMAGES[damage](file)
     again = load(inner).inner
     assert again() == 5
     assert not again.stats.cache_hits
     once_more = load(inner).inner
     assert once_more() == 5
-    assert once_more.stats.cache_hits
+    if damage == 'a folder':  # nothing can be written in its place
+        assert 'Is a directory; every start compiles them again' in _kernel_cache.cache_problem()
+    else:
+        assert once_more.stats.cache_hits
+        assert not _kernel_cache.cache_problem()
+
+
+PROBE = """
+from binocular_recon._kernel_cache import cache_problem
+from binocular_recon.stereo.holes._probe_kernels import inner
+print(inner(), sum(inner.stats.cache_hits.values()))
+print(cache_problem())
+"""
+# Without capabilities, root may not write to its own files either where their mode forbids it.
+HARDENED = """
+import ctypes
+header = (ctypes.c_uint32 * 2)(0x20080522, 0)
+assert ctypes.CDLL(None).capset(header, (ctypes.c_uint32 * 6)()) == 0
+"""
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='needs capabilities')
+def test_a_package_that_cannot_be_written_to_is_used_with_and_without_a_cache(
+    tmp_path: Path,
+) -> None:
+    """As by a service with a read-only system and no home."""
+    package = tmp_path / 'binocular_recon'
+    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
+    (package / 'stereo' / 'holes' / '_probe_kernels.py').write_text(INNER.format(7))
+    unset = {'NUMBA_CACHE_DIR', 'XDG_CACHE_HOME', 'PYTHONPATH'}
+    variables = {name: text for name, text in os.environ.items() if name not in unset}
+
+    def printed(script: str, *, writable: bool) -> list[str]:
+        for path in (tmp_path, *tmp_path.rglob('*')):
+            path.chmod((0o755 if path.is_dir() else 0o644) - (0 if writable else 0o200))
+        done = subprocess.run(
+            [sys.executable, '-c', script],
+            cwd=tmp_path,
+            env={**variables, 'HOME': str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.splitlines()
+
+    found, problem = printed(HARDENED + PROBE, writable=False)
+    assert found == '7 0'
+    assert 'cannot be kept in' in problem and 'warm-up fills the cache' in problem
+    assert printed(PROBE, writable=True) == ['7 0', '']
+    for file in package.rglob('*.py'):  # times change on the way into an image of a container
+        os.utime(file, (1, 1))
+    assert printed(HARDENED + PROBE, writable=False) == ['7 1', '']
+    for path in (tmp_path, *tmp_path.rglob('*')):  # to be removed
+        path.chmod(0o755)
 
 
 CROSSING = """
