@@ -76,6 +76,7 @@ def _run(argv: Sequence[str], program: str) -> int:
     args = _parser(argv).parse_args(argv)
     try:
         command_module(args.command).run(args)
+        _say_cache_problem()
     except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PROBLEM
@@ -86,6 +87,13 @@ def _run(argv: Sequence[str], program: str) -> int:
         print(f'{program}: {message}', file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_PROBLEM
     return EXIT_DONE
+
+
+def _say_cache_problem() -> None:
+    """Say that compiled kernels could not be kept, if any were compiled."""
+    cache = sys.modules.get('binocular_recon._kernel_cache')
+    if cache and cache.cache_problem():
+        print(f'warning: {cache.cache_problem()}', file=sys.stderr)
 
 
 def _command(argv: Sequence[str]) -> str:

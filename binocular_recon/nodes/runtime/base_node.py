@@ -13,6 +13,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
+from binocular_recon._kernel_cache import cache_problem
 from binocular_recon.nodes.runtime.diagnostics import PERIOD_S, DiagnosticsPublisher
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_output
 from binocular_recon.nodes.runtime.health import Health
@@ -75,6 +76,8 @@ class BaseNode(Node):
         begun_s = time.monotonic()
         self.compile_kernels()
         self.get_logger().info(f'kernels ready after {time.monotonic() - begun_s:.1f} s')
+        if cache_problem():
+            self.get_logger().warning(cache_problem())
 
     def start(self) -> None:
         """Create the publishers and report on /diagnostics from now on."""

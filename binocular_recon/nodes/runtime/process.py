@@ -21,6 +21,7 @@ from rclpy.utilities import remove_ros_args
 
 from binocular_recon._signals import ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
+from binocular_recon.nodes.runtime import shared_memory
 
 # The source location that ROS appends to its errors.
 _LOCATION = re.compile(r', at \S+:\d+')
@@ -46,6 +47,7 @@ def init_ros(command_line: Sequence[str], **options: Any) -> None:
     try:
         others = remove_ros_args(command_line)[1:]
         if not others:
+            _prepare_shared_memory()
             rclpy.init(args=command_line, **options)
     except RuntimeError as error:
         reason = _LOCATION.sub('', str(error))
@@ -57,6 +59,20 @@ def init_ros(command_line: Sequence[str], **options: Any) -> None:
             f'unknown arguments {" ".join(others)}; give parameters and remappings after'
             ' --ros-args'
         )
+
+
+def _prepare_shared_memory() -> None:
+    """Make room in shared memory; a process without it goes on, but slower."""
+    if not shared_memory.in_use():
+        return
+    logger = get_logger('binocular_recon')
+    freed = shared_memory.remove_leftovers()
+    if freed:
+        text = f'removed {freed / 1e6:.0f} MB of killed processes from /dev/shm'
+        logger.info(text)
+    short = shared_memory.shortage()
+    if short:
+        logger.warning(short)
 
 
 def run_node(
