@@ -30,6 +30,7 @@ COMMANDS = {
     'simulate': 'simulate images of rods, or a survey scene as a bag, with ground truth',
     'paper': 'repeat the paper on simulated sites: its Tables 1, 2 and 3 beside ours',
     'evaluate': "measure accuracy on scenes with ground truth, against OpenCV's matchers",
+    'warm-up': 'compile and keep the kernels, so that the first start is quick',
     'benchmark': 'measure speed and memory of every stage, against its peers',
 }
 

@@ -14,6 +14,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from binocular_recon.apps.kernels import compile_detection
 from binocular_recon.calibration.target.rods import load_rods
 from binocular_recon.drawing.detections import draw_detections
 from binocular_recon.errors import BinocularReconError, ConfigError, ImageError
@@ -23,7 +24,7 @@ from binocular_recon.io.messages.images import fill_image, read_image
 from binocular_recon.nodes.calibration.camera_drivers import CameraDrivers
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.nodes.calibration.services import CalibrationServices
-from binocular_recon.nodes.calibration.steps import compile_kernels, detect_pair
+from binocular_recon.nodes.calibration.steps import detect_pair
 from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import InputOptions, RodOptions
@@ -72,7 +73,7 @@ class CalibrationNode(FrameNode):
     @staticmethod
     def compile_kernels() -> None:
         """Detect some rods."""
-        compile_kernels()
+        compile_detection()
 
     def needed(self) -> bool:
         """Receive images all the time: a capture takes the newest pair."""

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from binocular_recon.calibration.detection.detect import Detection, detect_rods
@@ -20,21 +18,6 @@ from binocular_recon.number_text import significant
 
 # Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
 STILL_PX = 0.5
-
-
-def compile_kernels() -> None:
-    """Detect the rods in a drawing of some."""
-    marks_m = np.linspace(0.3, 1.8, 6)
-    feet = np.column_stack([0.6 * np.arange(5), np.zeros(5)])
-    board = RodBoard(feet, marks_m, 0.04, 0.005, 0.01, 0.005)
-    columns = 60 + 40 * np.arange(board.count)
-    image = np.full((600, columns[-1] + 60), 128, np.uint8)
-    edges = 550 - np.r_[0, 500 / marks_m[-1] * marks_m, 530].astype(int)
-    for column in columns:
-        bands = zip(itertools.pairwise(edges), board.light_bands, strict=True)
-        for (bottom, top), light in bands:
-            image[top:bottom, column - 4 : column + 4] = 235 if light else 20
-    detect_rods(image, board)
 
 
 def detect_pair(pair: ImagePair, board: RodBoard) -> tuple[Detection, Detection]:

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure how long a node takes from its start, after it was killed, to its first output.
+
+``.venv/bin/python tools/restart_time.py [NODE]``, on a quiet machine. Prints the time of the
+clock and of the processor, s, of some restarts.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RESTARTS = 7
+os.environ.setdefault('FASTDDS_DEFAULT_PROFILES_FILE', f'{REPOSITORY}/config/fastdds_shared_memory.xml')
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+def main() -> None:
+    """Restart a node and print the times."""
+    import rclpy  # noqa: F401 - starts Python again with its libraries on the path
+
+    import test  # that of the repository, not Python's own
+
+    test.__path__ = [str(REPOSITORY / 'test')]
+    from sensor_msgs.msg import Image
+    from stereo_msgs.msg import DisparityImage
+
+    from test.system.graph import Graph, NodeProcess, wait_until
+    from test.system.rig import CameraPair, image_pair, raw_rig
+
+    name = sys.argv[1] if len(sys.argv) > 1 else 'match_node'
+    rig = raw_rig(width=640, height=480)
+    images = image_pair(1, 640, 480)
+    output, kind, suffix = {
+        'match_node': ('/rig/disparity', DisparityImage, 'image_rect'),
+        'rectify_node': ('/rig/left/image_rect', Image, 'image_raw'),
+    }[name]
+    graph = Graph()
+    cameras = CameraPair(graph, rig, image=suffix)
+    numbers = itertools.count()
+    times = []
+    inbox = graph.inbox(output, kind)
+    with tempfile.TemporaryDirectory() as folder:
+        for restart in range(RESTARTS):
+            node = NodeProcess(name, Path(folder) / f'{restart}.log')
+            begun_s = time.monotonic()
+            inbox.messages.clear()
+
+            def came() -> bool:
+                cameras.send(next(numbers), images)
+                return bool(inbox.messages)
+
+            wait_until(came, 'an output', every_s=0.1)
+            seconds = time.monotonic() - begun_s
+            fields = Path(f'/proc/{node.process.pid}/stat').read_text().rpartition(')')[2].split()
+            cpu_s = sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')
+            print(f'{name}: {seconds:.2f} s, processor {cpu_s:.2f} s', flush=True)
+            times.append((seconds, cpu_s))
+            node.process.kill()
+            node.process.wait()
+    graph.close()
+    median = (statistics.median(column) for column in zip(*times[1:], strict=True))
+    print('median without the first: {:.2f} s, processor {:.2f} s'.format(*median))
+
+
+if __name__ == '__main__':
+    main()
