@@ -17,7 +17,9 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESTARTS = 7
-os.environ.setdefault('FASTDDS_DEFAULT_PROFILES_FILE', f'{REPOSITORY}/config/fastdds_shared_memory.xml')
+os.environ.setdefault(
+    'FASTDDS_DEFAULT_PROFILES_FILE', f'{REPOSITORY}/config/fastdds_shared_memory.xml'
+)
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 

@@ -278,3 +278,39 @@ def test_two_runs_do_not_write_to_one_folder(
     assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
     assert {path.name for path in tmp_path.glob('.*')} == {'.mine.part'}
     assert not (tmp_path / '000009.ply').exists()
+
+
+@pytest.mark.parametrize(
+    ('number', 'status', 'word'),
+    [(signal.SIGINT, 130, 'interrupted'), (signal.SIGTERM, 143, 'terminated')],
+)
+@pytest.mark.parametrize('stage', ['imports', 'compilation'])
+def test_a_command_that_still_starts_ends_with_one_line(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stage: str,
+    number: int,
+    status: int,
+    word: str,
+) -> None:
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.setenv('NUMBA_CPU_NAME', 'generic')  # nor does one beside the sources fit
+    words = ['reconstruct', str(bag), '--output', str(tmp_path / 'out')]
+    command = [sys.executable, '-m', 'binocular_recon', *words]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    libraries = Path(f'/proc/{process.pid}/maps')
+    while process.poll() is None and not (
+        any((tmp_path / 'cache').glob('*/*.nbi'))
+        if stage == 'compilation'
+        else 'numpy' in libraries.read_text()
+    ):
+        time.sleep(0.001)
+    process.send_signal(number)
+    error = process.communicate()[1]
+    assert process.returncode == status, error
+    said = f'binocular-recon reconstruct: {word}'
+    if stage == 'compilation':
+        said += f'; 0 finished frames are kept in {tmp_path / "out"}'
+    assert error == said + '\n'
+    assert {path.name for path in tmp_path.glob('out/*')} <= {'summary.json'}

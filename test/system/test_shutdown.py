@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import itertools
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,8 +40,35 @@ def test_interrupted_in_the_middle_of_a_frame(
     assert len(inbox.messages) < next(indices)
 
 
-def test_interrupted_while_it_starts(tmp_path: Path) -> None:
-    node = NodeProcess('match_node', tmp_path / 'log')
-    memory = Path(f'/proc/{node.process.pid}/maps')
-    wait_until(lambda: 'librcl' in memory.read_text(), 'the node to load ROS')
-    assert node.stop() in (0, -signal.SIGINT), node.text()
+# What has happened when the signal comes, and the file or the library that shows it.
+STAGES = {'imports': 'numpy', 'ROS loaded': 'librcl', 'compilation': '*/*.nbi'}
+
+
+@pytest.mark.parametrize('stage', STAGES)
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_while_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, number: signal.Signals
+) -> None:
+    """Without a cache: a compilation does not delay the end."""
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.setenv('NUMBA_CPU_NAME', 'generic')  # nor does one beside the sources fit
+    log = tmp_path / 'log'
+    start = 'from binocular_recon.nodes import executables; executables.match_node()'
+    with log.open('w') as file:
+        command = [sys.executable, '-c', start]
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
+    libraries = Path(f'/proc/{process.pid}/maps')
+
+    def reached() -> bool:
+        if stage == 'compilation':
+            return any((tmp_path / 'cache').glob(STAGES[stage]))
+        return STAGES[stage] in libraries.read_text()
+
+    try:
+        wait_until(reached, stage)
+        process.send_signal(number)
+        assert process.wait(20) == 0, log.read_text()
+    finally:
+        process.kill()
+    assert 'Traceback' not in log.read_text()
+    assert 'kernels ready' not in log.read_text()

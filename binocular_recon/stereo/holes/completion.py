@@ -8,7 +8,6 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from binocular_recon._jit import over_strips
 from binocular_recon.images import FloatImage, Mask
@@ -144,6 +143,8 @@ def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
     rows = np.flatnonzero((first > 0) & (first <= start + OCCLUSION_SLACK_PX))
     if not rows.size:
         return
+    from scipy.ndimage import median_filter  # slow to import, and seldom needed
+
     slopes = _row_slopes(measured_px[rows], first[rows])
     slope = median_filter(slopes, SLOPE_ROWS)
     spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
