@@ -18,7 +18,16 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # and from those before it. A room holds its subfolders unless these are listed themselves; the
 # modules of a folder may stand in several rooms, some below its subfolders and some above.
 ROOMS = [
-    {'errors', '_signals', 'options', 'number_text', '_lazy', '_kernel_cache', 'rotations', 'lenses'},
+    {
+        'errors',
+        '_signals',
+        'options',
+        'number_text',
+        '_lazy',
+        '_kernel_cache',
+        'rotations',
+        'lenses',
+    },
     {'inputs', 'config', 'cloud_config', 'camera', '_jit', '_simd', 'machine'},
     {'images', 'pairing'},
     {'stereo.rectification', 'stereo.confidence', 'stereo.validity', 'stereo._validity_kernels'},

@@ -5,8 +5,8 @@
 results; `frame_formats` is the table of the files of each frame, where a new output format is
 added, `summary_entries` what the summary says of it. `earlier_run` tells whether an interrupted
 run can be continued.
-`kernels` compiles all kernels at once. `progress` is a progress bar. Commands and nodes parse
-arguments or parameters and call these.
+`kernels` compiles all kernels at once. `progress` is a progress bar. `signals` ends processes
+that are interrupted. Commands and nodes parse arguments or parameters and call these.
 """
 
 from typing import TYPE_CHECKING

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from binocular_recon import __version__
-from binocular_recon._signals import Terminated, ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import Terminated, ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 
 # The program's name in all messages, however it was started.

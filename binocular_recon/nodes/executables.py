@@ -10,7 +10,7 @@ import functools
 import importlib
 from collections.abc import Callable
 
-from binocular_recon._signals import ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
 
 
 def __getattr__(name: str) -> Callable[[], int]:

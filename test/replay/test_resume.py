@@ -19,7 +19,6 @@ import pytest
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.io.files import ClaimedFolder
 from binocular_recon.io.messages.images import fill_image
-from binocular_recon.io.ply import write_ply
 from test.bag_tools import (
     HEIGHT,
     PERIOD_NS,
@@ -35,6 +34,7 @@ from test.bag_tools import (
 from test.replay.reconstruction import RANGE, reconstruct
 
 FRAMES, LEFT_OUT = 8, 3
+CLOUD = FRAME_FORMATS['cloud']
 # Everything that a frame takes over from those before it.
 STATEFUL = ('--wls-video', '--drawings')
 
@@ -99,13 +99,13 @@ def test_a_run_interrupted_at_any_frame_is_continued(
 ) -> None:
     made: list[str] = []
 
-    def interrupt(path: Path, *parts: Any) -> int:
+    def interrupt(path: Path, *parts: Any) -> None:
         made.append(path.name)
         if len(made) == interrupted + 1:
             raise KeyboardInterrupt
-        return write_ply(path, *parts)
+        CLOUD.write(path, *parts)
 
-    cloud = FRAME_FORMATS['cloud']._replace(write=interrupt)
+    cloud = CLOUD._replace(write=interrupt)
     monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
     assert reconstruct(bag, tmp_path, *STATEFUL) == 130
     assert json.loads((tmp_path / 'summary.json').read_text())['finished'] is False
@@ -201,13 +201,13 @@ def test_a_finished_run_is_not_made_again(
 def interrupted_run(bag: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave a run with two finished frames."""
 
-    def interrupt(path: Path, *parts: Any) -> int:
+    def interrupt(path: Path, *parts: Any) -> None:
         if path.name == '000002.ply':
             raise KeyboardInterrupt
-        return write_ply(path, *parts)
+        CLOUD.write(path, *parts)
 
     with monkeypatch.context() as patched:
-        cloud = FRAME_FORMATS['cloud']._replace(write=interrupt)
+        cloud = CLOUD._replace(write=interrupt)
         patched.setitem(FRAME_FORMATS, 'cloud', cloud)
         assert reconstruct(bag, output) == 130
 

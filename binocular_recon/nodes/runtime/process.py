@@ -19,7 +19,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from binocular_recon._signals import ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.nodes.runtime import shared_memory
 

@@ -78,7 +78,7 @@ def test_the_cloud_is_thinned_and_says_its_frame(tmp_path: Path) -> None:
     wall = dataclasses.replace(whole, thinning=CloudConfig(decimation=2))
     results = ResultFolder(tmp_path, {})
     results.add(0, StereoRig(left, right), wall, 0.5)
-    results.write_summary('default', ChainConfig(), finished=True)
+    results.write_summary(finished=True)
     summary = json.loads((tmp_path / 'summary.json').read_text())
     text = "turned by 0.650 deg against the camera's (170 mm at 15 m); x_rectified = R x_camera"
     assert summary['frame'] == f'left rectified optical frame: {text}'
