@@ -152,10 +152,9 @@ class Chain:
         )
 
     def state(self) -> dict[str, Any]:
-        """Return what results of later frames depend on, besides the last disparities.
+        """Return what later frames depend on, besides the last disparities, as a value for JSON.
 
-        It is a value for JSON. A chain with the same rig and options that `restore` it goes on as
-        this one would, to the bit.
+        A chain with the same rig and options that `restore` it goes on as this one, to the bit.
         """
         return {
             'frames': self._frames,
