@@ -8,12 +8,13 @@ import pytest
 from binocular_recon import _kernel_cache
 from binocular_recon.apps import kernels
 from binocular_recon.cli.main import main
+from binocular_recon.config import ChainConfig
 
 
 def test_warm_up_compiles_for_the_presets_that_are_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = []
+    made: list[ChainConfig] = []
     monkeypatch.setattr(kernels, 'warm_up', made.append)
     monkeypatch.setattr(_kernel_cache, '_problems', [])
     assert main(['warm-up', '--presets', 'fast']) == 0
