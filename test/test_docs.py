@@ -135,7 +135,8 @@ def test_links_lead_somewhere(path: Path) -> None:
 @pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
 def test_named_files_and_targets_exist(path: Path) -> None:
     text = path.read_text()
-    sources = [*PACKAGE.rglob('*.py'), *REPOSITORY.glob('*.py'), *REPOSITORY.glob('test/**/*.py')]
+    sources = [*PACKAGE.rglob('*.py'), *REPOSITORY.glob('*.py')]
+    sources += [*REPOSITORY.glob('test/**/*.py'), *REPOSITORY.glob('tools/*.py')]
     for name in re.findall(r'`((?:\w+/)*\w+\.py)`', text):
         assert any(source.as_posix().endswith(f'/{name}') for source in sources), name
     for name in re.findall(r'`((?:\w+/)+)`', text):
