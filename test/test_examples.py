@@ -186,8 +186,9 @@ def check_launch(file: str, words: list[str]) -> None:
             for node in ast.parse((REPOSITORY / 'launch' / name).read_text()).body
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'ARGUMENTS'
         )
-        assert isinstance(table, ast.Dict)
-        arguments |= {ast.literal_eval(key) for key in table.keys if key}
+        # the names of a comprehension are some of the chain's
+        keys = table.keys if isinstance(table, ast.Dict) else table.generators[0].iter.elts
+        arguments |= {ast.literal_eval(key) for key in keys if key}
     groups: list[Any] = list(vars(ChainConfig()).values())
     groups += [group for group in vars(options).values() if dataclasses.is_dataclass(group)]
     arguments |= {spec.name for group in groups for spec in dataclasses.fields(group)}
