@@ -181,13 +181,14 @@ def check_launch(file: str, words: list[str]) -> None:
     """Fail unless the launch file exists and has the arguments."""
     arguments: set[str] = set()
     for name in {file, 'binocular_recon.launch.py'}:
+        table: Any
         (table,) = (
             node.value
             for node in ast.parse((REPOSITORY / 'launch' / name).read_text()).body
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'ARGUMENTS'
         )
         # the names of a comprehension are some of the chain's
-        keys = table.keys if isinstance(table, ast.Dict) else table.generators[0].iter.elts
+        keys: list[Any] = getattr(table, 'keys', None) or table.generators[0].iter.elts
         arguments |= {ast.literal_eval(key) for key in keys if key}
     groups: list[Any] = list(vars(ChainConfig()).values())
     groups += [group for group in vars(options).values() if dataclasses.is_dataclass(group)]

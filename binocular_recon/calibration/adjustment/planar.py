@@ -9,6 +9,9 @@ Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000), through
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 
@@ -95,6 +98,17 @@ def calibrate_planar(
     return minimise(Problem(target.exact(), observed_px, free, noise), state)
 
 
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let OpenCV use one thread: several add up the boards in the order in which they finish."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
 def _calibrate_camera(
     points: FloatArray, pixels: FloatArray, image_size: tuple[int, int], lens: Lens
 ) -> CameraEstimate:
@@ -103,14 +117,15 @@ def _calibrate_camera(
     # the effort of OpenCV's method grows with the third power of the number of boards
     some = np.unique(np.linspace(0, len(pixels) - 1, _ZHANG_BOARDS).astype(int))
     try:
-        K, D = cv2.calibrateCamera(
-            [np.ascontiguousarray(points[seen[i]], np.float32)[:, None] for i in some],
-            [np.ascontiguousarray(pixels[i][seen[i]], np.float32)[:, None] for i in some],
-            image_size,
-            first_guess(points, pixels, image_size),
-            np.zeros(5),
-            flags=_FLAGS,
-        )[1:3]
+        with _one_thread():
+            K, D = cv2.calibrateCamera(
+                [np.ascontiguousarray(points[seen[i]], np.float32)[:, None] for i in some],
+                [np.ascontiguousarray(pixels[i][seen[i]], np.float32)[:, None] for i in some],
+                image_size,
+                first_guess(points, pixels, image_size),
+                np.zeros(5),
+                flags=_FLAGS,
+            )[1:3]
         poses = [
             cv2.solvePnP(points[found], board[found], K, D)[1:]
             for board, found in zip(pixels, seen, strict=True)

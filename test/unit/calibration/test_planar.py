@@ -55,6 +55,18 @@ def test_exact_rods_are_calibrated_as_well_as_by_the_adjustment() -> None:
     assert state.calibration.baseline_m == pytest.approx(1.0, abs=0.01)
 
 
+def test_the_same_marks_give_the_same_bits() -> None:
+    """OpenCV adds up the boards in the order in which its threads finish, if it may."""
+    threads = cv2.getNumThreads()
+    target = Target.from_rods(board_of(0.005))
+    observed = observations(captures_of(0.005, boards=16))
+    found = {
+        calibrate_planar(observed, target, SIZE).calibration.K_left.tobytes() for _ in range(5)
+    }
+    assert len(found) == 1
+    assert cv2.getNumThreads() == threads
+
+
 def test_first_guess_is_near_the_focal_length() -> None:
     target = Target.from_rods(board_of(0.005))
     pixels = observations(captures_of())[..., :2].reshape(11, -1, 2)
