@@ -121,8 +121,9 @@ maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
 
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
-lock: ## resolve requirements/*.txt again with each of PYTHONS
-	@$(PYTHON) requirements/lock.py $(PYTHONS)
+lock: ## resolve requirements/*.txt again, with hashes, for each of PYTHONS
+	@$(INSTALL) .venv-lock lock
+	@$(PYTHON) requirements/lock.py .venv-lock/bin/uv $(PYTHONS)
 
 # A build folder that is there already would lend its old files to the wheel.
 dist: setup ## source distribution and wheel in dist/

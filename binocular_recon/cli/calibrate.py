@@ -33,6 +33,9 @@ from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
 
+# Rows of a table of points that are named one by one when they are left out.
+_MOST_NAMED = 20
+
 
 class _Marks(NamedTuple):
     """What a calibration is computed from."""
@@ -204,8 +207,10 @@ def _detect_marks(args: argparse.Namespace) -> _Marks:
 
 def _read_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
-    for reason in table.left_out:
+    for reason in table.left_out[:_MOST_NAMED]:
         print(f'left out: {reason}')
+    if len(table.left_out) > _MOST_NAMED:
+        print(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
     if args.image_size is None:
         size = table.least_size
         print(
