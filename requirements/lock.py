@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lock the environments: ``lock.py UV PYTHON...`` rewrites ``requirements/*.txt`` (``make lock``).
 
-uv, an executable, resolves each environment for each CPython (``python3.10`` ...) from the ranges in
-``setup.py`` and the ``.in`` files; nothing is installed and no interpreter but uv's is needed.
+uv, an executable, resolves each environment for each CPython (``python3.10`` ...) from the ranges
+in ``setup.py`` and the ``.in`` files; nothing is installed and no interpreter is needed.
 Versions that differ between the interpreters get a marker. Each version carries the SHA-256 of
 all its files, so that pip installs nothing else.
 """
