@@ -2,12 +2,19 @@
 """Errors that the package raises on purpose.
 
 Every message states the problem, the value, the limit and the remedy. The command line prints it
-and returns exit status 1 (2 for a `ConfigError`); a node logs it and drops the frame.
+and returns exit status 1 (2 for a `ConfigError`); a node logs it and drops the frame. Names from
+bags, messages and files are written out where a terminal would obey them.
 """
+
+from binocular_recon.plain_text import plain_text
 
 
 class BinocularReconError(Exception):
     """Base of every error that the package raises on purpose."""
+
+    def __str__(self) -> str:
+        """Return the message without control characters."""
+        return plain_text(super().__str__())
 
 
 class ConfigError(BinocularReconError, ValueError):

@@ -30,6 +30,7 @@ from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
 from binocular_recon.number_text import significant
+from binocular_recon.plain_text import plain_text
 
 _Result = TypeVar('_Result')
 
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> None:
         lambda: calibrate(captures, target, size, lens=args.lens, rejected=rejected)
     )
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
-    print(summary(result))
+    print(plain_text(summary(result)))
     print(', '.join(str(path) for path in files))
     peak = peak_bytes()
     print(
@@ -208,7 +209,7 @@ def _detect_marks(args: argparse.Namespace) -> _Marks:
 def _read_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
     for reason in table.left_out[:_MOST_NAMED]:
-        print(f'left out: {reason}')
+        print(plain_text(f'left out: {reason}'))
     if len(table.left_out) > _MOST_NAMED:
         print(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
     if args.image_size is None:

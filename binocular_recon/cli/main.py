@@ -13,6 +13,7 @@ from types import ModuleType
 from binocular_recon import __version__
 from binocular_recon.apps.signals import Terminated, ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
+from binocular_recon.plain_text import plain_text
 
 # The program's name in all messages, however it was started.
 PROGRAM = 'binocular-recon'
@@ -82,7 +83,7 @@ def _run(argv: Sequence[str], program: str) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PROBLEM
     except (BinocularReconError, OSError, MemoryError) as error:
-        message = ' '.join(str(error).split())
+        message = plain_text(' '.join(str(error).split()))
         if isinstance(error, MemoryError):
             message = f'{message}; choose a smaller disparity_range or smaller images'
         print(f'{program}: {message}', file=sys.stderr)

@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-import yaml
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -30,6 +29,8 @@ from binocular_recon.io.bags._sources import (
     TopicQos,
 )
 from binocular_recon.io.bags._sqlite import can_be_read, check_tables, has_journal, merge_journal
+from binocular_recon.io.text_files import read_yaml
+from binocular_recon.plain_text import plain_text
 
 __all__ = ['Bag', 'BagMessage', 'Topic', 'TopicQos', 'decode', 'ros2_types']
 
@@ -184,7 +185,7 @@ class Bag(AbstractContextManager['Bag']):
         if not metadata.exists():
             return []
         try:
-            content = yaml.safe_load(metadata.read_bytes())['rosbag2_bagfile_information']
+            content = read_yaml(metadata, 'its files are read')['rosbag2_bagfile_information']
             files = [self.path / PurePath(name).name for name in content['relative_file_paths']]
         except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             self.note(f'{metadata} is damaged ({error}); all files in its folder are read')
@@ -242,6 +243,7 @@ class Bag(AbstractContextManager['Bag']):
 
     def note(self, sentence: str) -> None:
         """Add a sentence to `damage`, once."""
+        sentence = plain_text(sentence)
         if sentence not in self.damage:
             self.damage.append(sentence)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,6 +22,7 @@ from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
+from binocular_recon.plain_text import plain_text
 
 # What the diagnostics call complete sets of messages.
 _SETS = 'sets'
@@ -107,7 +108,7 @@ class FrameNode(BaseNode):
         )
         self.health.state('calibration read otherwise', '; '.join(rig.notices))
         for notice in rig.notices:
-            self.get_logger().info(notice)
+            self.get_logger().info(plain_text(notice))
 
     def warn_of_rig(self, rig: StereoRig) -> None:
         """Warn while frames are processed with a calibration that is probably wrong."""
@@ -134,11 +135,10 @@ class FrameNode(BaseNode):
         level = DiagnosticStatus.ERROR
         if len(silent) == len(required):
             level = DiagnosticStatus.STALE
-            text = f'no messages on {", ".join(silent)}; start the cameras or check the remappings'
+            text = f'no messages on {", ".join(silent)}; {self._who_is_silent(silent)}'
             text += self._explain_published(silent)
         elif silent:
-            since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
-            text = f'no messages on {since}; check their source (node, camera, cable)'
+            text = f'no messages on {_since(silent)}; {self._who_is_silent(silent)}'
             text += self._explain_published(silent)
         elif _SETS in ages_s:
             text = self.explain_missing_frames()
@@ -147,6 +147,8 @@ class FrameNode(BaseNode):
         elif superseded:
             level = DiagnosticStatus.WARN
             text = f'cannot keep up: dropped {superseded} frames in the last second'
+        elif pausing := self.health.pausing(required):
+            return DiagnosticStatus.WARN, f'no messages on {_since(pausing)}'
         else:
             return DiagnosticStatus.OK, f'{processed} frames in the last second'
         self.health.log(level, text)
@@ -215,6 +217,26 @@ class FrameNode(BaseNode):
             f' dropped; raise queue_size to at least {max(needed.values())}'
         )
 
+    def _who_is_silent(self, silent: Collection[str]) -> str:
+        """Say who publishes topics without messages, and what to do.
+
+        A publisher that is there but sends nothing knows why better than this node.
+        """
+        publishers = {
+            f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+            for topic, subscription in zip(self._inputs, self._subscriptions_in_use, strict=True)
+            if topic in silent
+            for info in self.get_publishers_info_by_topic(subscription.topic_name)
+        }
+        if not publishers:
+            return 'nobody publishes them: start the cameras or check the remappings'
+        known = sorted(name for name in publishers if not name.rpartition('/')[2].startswith('_'))
+        who = ', '.join(known) or 'their publisher'
+        return (
+            f'{who} publishes them but sends nothing: its log and its status on /diagnostics say'
+            ' why (for a camera: driver, cable, trigger)'
+        )
+
     def _explain_published(self, silent: Collection[str]) -> str:
         """Say what else a silent topic may mean if somebody publishes images on it, or ''."""
         published = [
@@ -278,3 +300,8 @@ class FrameNode(BaseNode):
         else:
             self._processed += 1
             self.health.processed(time.monotonic() - begun_s)
+
+
+def _since(ages_s: Mapping[str, float]) -> str:
+    """Return topics, and since when each has been silent."""
+    return ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in ages_s.items())
