@@ -136,10 +136,8 @@ class FrameNode(BaseNode):
         if len(silent) == len(required):
             level = DiagnosticStatus.STALE
             text = f'no messages on {", ".join(silent)}; {self._who_is_silent(silent)}'
-            text += self._explain_published(silent)
         elif silent:
             text = f'no messages on {_since(silent)}; {self._who_is_silent(silent)}'
-            text += self._explain_published(silent)
         elif _SETS in ages_s:
             text = self.explain_missing_frames()
         elif too_late := self._explain_lateness():
@@ -222,35 +220,20 @@ class FrameNode(BaseNode):
 
         A publisher that is there but sends nothing knows why better than this node.
         """
-        publishers = {
-            f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-            for topic, subscription in zip(self._inputs, self._subscriptions_in_use, strict=True)
-            if topic in silent
-            for info in self.get_publishers_info_by_topic(subscription.topic_name)
-        }
+        publishers, images = set(), []
+        for (topic, one), used in zip(self._inputs.items(), self._subscriptions_in_use, strict=True):
+            found = self.get_publishers_info_by_topic(used.topic_name) if topic in silent else ()
+            publishers |= {f'{who.node_namespace.rstrip("/")}/{who.node_name}' for who in found}
+            images += [topic] if found and one.transported else []
         if not publishers:
             return 'nobody publishes them: start the cameras or check the remappings'
-        known = sorted(name for name in publishers if not name.rpartition('/')[2].startswith('_'))
-        who = ', '.join(known) or 'their publisher'
-        return (
-            f'{who} publishes them but sends nothing: its log and its status on /diagnostics say'
-            ' why (for a camera: driver, cable, trigger)'
+        known = sorted(name for name in publishers if '/_' not in name)  # or not discovered yet
+        text = (
+            f'{", ".join(known) or "their publisher"} publishes them but sends nothing: its log'
+            ' and its status on /diagnostics say why (for a camera: driver, cable, trigger)'
         )
-
-    def _explain_published(self, silent: Collection[str]) -> str:
-        """Say what else a silent topic may mean if somebody publishes images on it, or ''."""
-        published = [
-            topic
-            for (topic, one), subscription in zip(
-                self._inputs.items(), self._subscriptions_in_use, strict=True
-            )
-            if topic in silent
-            and one.transported
-            and self.count_publishers(subscription.topic_name) > 0
-        ]
-        if not published:
-            return ''
-        return f'; if images are sent on {", ".join(published)}, all are lost: {SHARED_MEMORY}'
+        lost = f'; if images are sent on {", ".join(images)}, all are lost: {SHARED_MEMORY}'
+        return text + lost if images else text
 
     def _is_published(self, optional: str) -> bool:
         return self.count_publishers(self._optional[optional]) > 0

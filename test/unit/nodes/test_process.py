@@ -43,6 +43,7 @@ def test_a_bad_command_line_is_rejected_with_the_reason(words: list[str], reason
         ),
     ],
 )
+@pytest.mark.filterwarnings('ignore::DeprecationWarning')  # of a parser that ROS imports
 def test_a_parameter_of_a_wrong_type_is_refused_with_what_is_allowed(
     words: list[str], reason: str
 ) -> None:
