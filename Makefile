@@ -17,7 +17,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon evaluate benchmark docs nodes-page site images maintainers lock dist clean \
+        jazzy-environment colcon fuzz evaluate benchmark docs nodes-page site images maintainers lock dist clean \
         distclean
 
 help: ## this list
@@ -95,6 +95,11 @@ colcon: setup ## build, install and test as a ROS workspace does
 
 # OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
 SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo
+
+MINUTES ?= 10
+
+fuzz: setup ## changed inputs of every form for MINUTES=10; findings go to out/fuzz/
+	$(RUN) test/fuzz/run.py --minutes $(MINUTES) --seed $$(date +%s)
 
 evaluate: ## accuracy on scenes with ground truth against OpenCV's matchers; SCENES=folder
 	@$(INSTALL) .venv-contrib contrib

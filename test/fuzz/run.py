@@ -86,7 +86,9 @@ def main() -> int:
     """Run; return 1 if there were findings."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--minutes', type=float, help='until so much time has passed')
-    parser.add_argument('--cases', type=int, default=100, help='of each form (default %(default)s)')
+    parser.add_argument(
+        '--cases', type=int, default=100, help='of each form (default %(default)s)'
+    )
     parser.add_argument('--seed', type=int, default=0, help='other cases (default %(default)s)')
     parser.add_argument('--forms', nargs='+', default=list(FORMS), choices=list(READERS))
     parser.add_argument('--output', type=Path, default=REPOSITORY / 'out' / 'fuzz')

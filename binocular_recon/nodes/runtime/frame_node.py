@@ -221,7 +221,9 @@ class FrameNode(BaseNode):
         A publisher that is there but sends nothing knows why better than this node.
         """
         publishers, images = set(), []
-        for (topic, one), used in zip(self._inputs.items(), self._subscriptions_in_use, strict=True):
+        for (topic, one), used in zip(
+            self._inputs.items(), self._subscriptions_in_use, strict=True
+        ):
             found = self.get_publishers_info_by_topic(used.topic_name) if topic in silent else ()
             publishers |= {f'{who.node_namespace.rstrip("/")}/{who.node_name}' for who in found}
             images += [topic] if found and one.transported else []
