@@ -93,13 +93,13 @@ colcon: setup ## build, install and test as a ROS workspace does
 	@$(INSTALL) .venv-colcon colcon
 	.ci/colcon
 
-# OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
-SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo
-
 MINUTES ?= 10
 
 fuzz: setup ## changed inputs of every form for MINUTES=10; findings go to out/fuzz/
 	$(RUN) test/fuzz/run.py --minutes $(MINUTES) --seed $$(date +%s)
+
+# OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
+SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo
 
 evaluate: ## accuracy on scenes with ground truth against OpenCV's matchers; SCENES=folder
 	@$(INSTALL) .venv-contrib contrib

@@ -32,6 +32,9 @@ SEEDS = Path(__file__).parent / 'seeds'
 # What lies beside the input that is changed.
 BESIDE = Path(__file__).parent / 'beside'
 
+# Types of messages that commands decode.
+TYPES = {f'sensor_msgs/msg/{name}' for name in ('CameraInfo', 'Image', 'CompressedImage')}
+
 Reader = Callable[[bytes, Path], object]
 
 
@@ -79,8 +82,9 @@ def _bag(path: Path) -> None:
         with contextlib.suppress(BinocularReconError):
             find_stereo_topics(bag.topics)
         for message in bag.messages():
-            with contextlib.suppress(BinocularReconError):
-                decode(message.topic.msgtype, message.cdr)
+            if message.topic.msgtype in TYPES:
+                with contextlib.suppress(BinocularReconError):
+                    decode(message.topic.msgtype, message.cdr)
 
 
 def _metadata(data: bytes, folder: Path) -> None:

@@ -43,7 +43,7 @@ def problem(form: str, data: bytes) -> str:
                 return f'control characters in {str(error)!r}'
         except MemoryError:
             return f'more than {LIMIT_BYTES / 1e9:g} GB\n{traceback.format_exc(limit=-6)}'
-        except BaseException:
+        except BaseException:  # noqa: BLE001 - whatever it is, it is a finding
             return traceback.format_exc(limit=-6)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)

@@ -3,21 +3,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.errors import ImageError
 from binocular_recon.io.image_files import decoded_image
 from binocular_recon.io.native_lines import native_lines_held
 
 
 def test_damaged_images_do_not_flood_standard_error(capfd: pytest.CaptureFixture[str]) -> None:
     image = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    jpeg = cv2.imencode('.jpg', image)[1]
-    for cut in range(200, 300):
-        decoded_image(jpeg[: jpeg.size - cut])
+    jpeg = cv2.imencode('.jpg', image)[1].tobytes()
+    for place in range(900, 1000):
+        damaged = jpeg[:place] + b'\xff\xd0' + jpeg[place + 2 :]
+        with contextlib.suppress(ImageError):
+            decoded_image(damaged, 'image')
     assert len(capfd.readouterr().err.splitlines()) <= 3
 
 
