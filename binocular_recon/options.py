@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any
 
-from binocular_recon.errors import ConfigError
-from binocular_recon.plain_text import shortened
+from binocular_recon.errors import ConfigError, shortened
 
 OptionValue = bool | int | float | str
 # What the types are called in messages.

@@ -7,7 +7,7 @@ import shutil
 import sys
 import time
 
-from binocular_recon.plain_text import plain_text
+from binocular_recon.errors import plain_text
 
 # Steps may take microseconds; drawing the line takes longer.
 _REDRAW_PERIOD_S = 0.1

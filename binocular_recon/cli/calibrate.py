@@ -24,13 +24,12 @@ from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import StereoRig
 from binocular_recon.cli.options import add_output_option, image_size, positive
-from binocular_recon.errors import CalibrationError, ConfigError
+from binocular_recon.errors import CalibrationError, ConfigError, plain_text
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
 from binocular_recon.number_text import significant
-from binocular_recon.plain_text import plain_text
 
 _Result = TypeVar('_Result')
 

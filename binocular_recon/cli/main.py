@@ -12,8 +12,7 @@ from types import ModuleType
 
 from binocular_recon import __version__
 from binocular_recon.apps.signals import Terminated, ignore_signals, leave, raise_signals
-from binocular_recon.errors import BinocularReconError, ConfigError
-from binocular_recon.plain_text import plain_text
+from binocular_recon.errors import BinocularReconError, ConfigError, plain_text
 
 # The program's name in all messages, however it was started.
 PROGRAM = 'binocular-recon'
@@ -35,6 +34,7 @@ COMMANDS = {
     'benchmark': 'measure speed and memory of every stage, against its peers',
 }
 
+_MOST_OPTIONS = 1000
 EXIT_DONE, EXIT_PROBLEM, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_TERMINATED = 0, 1, 2, 130, 143
 
 
@@ -56,6 +56,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     of_process = argv is None
     argv = sys.argv[1:] if argv is None else argv
+    # argparse looks at all options again for each
+    if sum(word.startswith('-') for word in argv) > _MOST_OPTIONS:
+        print(f'{PROGRAM}: there are more than {_MOST_OPTIONS} options', file=sys.stderr)
+        return EXIT_USAGE
     command = _command(argv)
     program = f'{PROGRAM} {command}' if command in COMMANDS else PROGRAM
     try:

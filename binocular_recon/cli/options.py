@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.config import PRESETS, ChainConfig
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, plain_text
 from binocular_recon.options import Options, OptionValue, check_option
-from binocular_recon.plain_text import plain_text
 
 # Options whose 0 has a name: found from the images.
 FOUND = ('min_disparity', 'disparity_range')

@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from binocular_recon.errors import BinocularReconError, FileError
-from binocular_recon.plain_text import shortened
+from binocular_recon.errors import BinocularReconError, FileError, shortened
 
 # The files of a calibration have 10 to 100 kB.
 _LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
@@ -85,7 +84,7 @@ def read_yaml(path: Path, remedy: str) -> Any:
 def parse_yaml(text: str) -> Any:
     """Return the content of a YAML text; raises a FileError as `read_yaml`."""
     try:
-        _check_structure(text)
+        check_structure(text)
         return yaml.load(text, _Loader)  # noqa: S506 - a safe loader
     except FileError:
         raise
@@ -101,13 +100,16 @@ def parse_yaml(text: str) -> Any:
         ) from error
 
 
-def _check_structure(text: str) -> None:
-    """Raise a FileError if a YAML text is too large, nested too deeply or has aliases."""
+def check_structure(text: str, *, aliases: bool = False) -> None:
+    """Raise a FileError if a YAML text has too many values, is nested too deeply or has aliases.
+
+    Who lets ``aliases`` through counts what they stand for.
+    """
     depth = 0
     for count, event in enumerate(yaml.parse(text, _Loader)):
         if count > _MOST_VALUES:
             raise FileError(f'holds more than {_MOST_VALUES} values, the limit')
-        if isinstance(event, yaml.AliasEvent):
+        if isinstance(event, yaml.AliasEvent) and not aliases:
             raise FileError(
                 f'has an alias in line {_line(event)}, which could stand for any number of values;'
                 ' write them out'
@@ -117,7 +119,7 @@ def _check_structure(text: str) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > _DEEPEST:
-            raise FileError(f'is nested deeper than {_DEEPEST} levels in line {_line(event)}')
+            raise FileError(f'is nested too deeply: {_DEEPEST} levels in line {_line(event)}')
 
 
 def _line(event: yaml.Event) -> int:

@@ -20,11 +20,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.errors import BagError
+from binocular_recon.errors import BagError, plain_text
 from binocular_recon.io.bags.reader import Bag, Topic
 from binocular_recon.nodes.runtime.diagnostics import PERIOD_S, DiagnosticsPublisher
 from binocular_recon.nodes.runtime.health import Health
-from binocular_recon.plain_text import plain_text
 
 # How long the start waits for subscribers, the end for the last messages to be acknowledged.
 START_WITHIN_S, _END_WITHIN_S = 2.0, 5.0

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 import binocular_recon
-from binocular_recon.errors import BagError, BinocularReconError, FileError
-from binocular_recon.plain_text import plain_text, shortened
+from binocular_recon.errors import BagError, BinocularReconError, FileError, plain_text, shortened
 
 HOSTILE = '/a\x1b]0;title\x07\x9b31m\r\u202eb'
 HARMLESS = '/a\\x1b]0;title\\x07\\x9b31m\\r\\u202eb'

@@ -21,9 +21,8 @@ import numpy as np
 
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
-from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.errors import CalibrationError, FileError, plain_text, shortened
 from binocular_recon.io.text_files import read_text
-from binocular_recon.plain_text import plain_text, shortened
 
 COLUMNS = ('name', 'side', 'id', 'X_m', 'Y_m', 'u_px', 'v_px')
 # Usual sizes of sensors, from small to large, to guess the image's size from its points.

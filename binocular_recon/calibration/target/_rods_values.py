@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.errors import CalibrationError
-from binocular_recon.plain_text import shortened
+from binocular_recon.errors import CalibrationError, shortened
 
 
 def number(name: str, value: object) -> float:

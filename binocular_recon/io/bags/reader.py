@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
@@ -16,7 +15,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from binocular_recon.errors import BagError
+from binocular_recon.errors import BagError, plain_text
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
 from binocular_recon.io.bags._salvage import check_index, file_format, is_compressed, unpack
 from binocular_recon.io.bags._sources import (
@@ -28,9 +27,14 @@ from binocular_recon.io.bags._sources import (
     Topic,
     TopicQos,
 )
-from binocular_recon.io.bags._sqlite import can_be_read, check_tables, has_journal, merge_journal
+from binocular_recon.io.bags._sqlite import (
+    DAMAGE,
+    can_be_read,
+    check_tables,
+    has_journal,
+    merge_journal,
+)
 from binocular_recon.io.text_files import read_yaml
-from binocular_recon.plain_text import plain_text
 
 __all__ = ['Bag', 'BagMessage', 'Topic', 'TopicQos', 'decode', 'ros2_types']
 
@@ -225,7 +229,7 @@ class Bag(AbstractContextManager['Bag']):
         journal = has_journal(path)
         if journal and not can_be_read(path):
             path, journal = merge_journal(path, self._temporary_folder()), False
-        with suppress(sqlite3.Error):  # damage is found below
+        with suppress(*DAMAGE):  # damage is found below
             check_tables(path)
         if not journal:  # which rosbags would leave out
             with suppress(Exception):  # as above

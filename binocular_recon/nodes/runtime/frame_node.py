@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.errors import BinocularReconError, CalibrationError, plain_text
 from binocular_recon.inputs.clocks import Mismatch
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
@@ -22,7 +22,6 @@ from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
-from binocular_recon.plain_text import plain_text
 
 # What the diagnostics call complete sets of messages.
 _SETS = 'sets'

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from binocular_recon.plain_text import plain_text
+from binocular_recon.errors import plain_text
 
 # How often a problem is repeated in the log, and for how long it stays in the status.
 _LOG_EVERY_S = 5.0

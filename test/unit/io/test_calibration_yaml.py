@@ -80,16 +80,17 @@ def test_every_digit_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('old', 'new', 'message'),
     [
-        ('image_width: 640', '', 'left.yaml: image_width is missing'),
-        ('[393.653800', '[what', 'data of projection_matrix must hold finite numbers, got .what'),
+        ('image_width: 640', '', r'left\.yaml is not a camera file .*: it lacks image_width;'),
+        ('[393.653800', '[what', r'left\.yaml is not a camera file .*what'),
         ('data: [438.783367, 0.000000,', 'data: [438.783367,', 'K must have 9 values, got 8'),
         ('plumb_bob', 'fov', "distortion model 'fov' is not one of plumb_bob"),
-        ('rows: 3\n  cols: 4\n  data', 'rows: 3\n  date', 'projection_matrix with its data'),
         (
             'image_width: 640',
             'image_width: 640.5',
             'image_width must be a whole number, got 640.5',
         ),
+        ('cols: 4\n  data', 'cols: 4\n  date', 'it lacks data of projection_matrix'),
+        ('  data: [438', '  data: [[[438', 'not a camera file: while parsing'),
         (FILE, '[1, 2]', 'not a camera file as camera_calibration_parsers writes it'),
     ],
 )
@@ -103,10 +104,7 @@ def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r'left\.yaml cannot be read: No such file'):
         read_rig(tmp_path)
     (tmp_path / 'left.yaml').write_bytes(b'\xff\xfe\xfd')
-    with pytest.raises(FileError, match='cannot be read: byte 0 is not UTF-8'):
-        read_camera(tmp_path / 'left.yaml')
-    (tmp_path / 'left.yaml').write_text(FILE.replace('  data: [438', '  data: [[[438'))
-    with pytest.raises(FileError, match=r'left\.yaml is not valid YAML: line'):
+    with pytest.raises(FileError, match=r"cannot be read: .*codec can't decode"):
         read_camera(tmp_path / 'left.yaml')
 
 

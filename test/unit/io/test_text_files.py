@@ -33,8 +33,8 @@ def test_yaml_is_read(tmp_path: Path) -> None:
     ('text', 'message'),
     [
         ('a: &x [1, 2]\nb: [*x, *x]', 'has an alias in line 2'),
-        ('[' * DEEP, 'is nested deeper than 50 levels in line 1'),
-        ('? ' * DEEP, 'is nested deeper than 50 levels'),
+        ('[' * DEEP, 'is nested too deeply: 50 levels in line 1'),
+        ('? ' * DEEP, 'is nested too deeply: 50 levels'),
         ('[' + '1,' * DEEP + ']', 'holds more than 30000 values'),
         ('a: 1\nb: 2\na: 3', "is not valid YAML: line 3: 'a' is stated twice"),
         ('a: ' + '9' * 5000, 'is not valid YAML: line 1: a number has 5000 characters'),
