@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,7 @@ _SIZES = (
 
 
 # Largest file, and most boards times points of the target: marks not found take room too.
-_LARGEST, _MOST_ROWS, _MOST_MARKS = 50_000_000, 300_000, 2_000_000
+_LARGEST, _MOST_ROWS, _MOST_MARKS = 20_000_000, 150_000, 2_000_000
 # Calibration targets are smaller, m; places that differ by less are one.
 _LARGEST_TARGET_M, _SAME_M = 100.0, 1e-6
 
@@ -76,15 +76,16 @@ def read_points(path: Path) -> PointTable:
     """
     text = read_text(path, 'give a table of points', _LARGEST)
     try:
-        reader = csv.DictReader(io.StringIO(text, newline=''))
-        _check_header(path, reader.fieldnames or ())
+        reader = csv.reader(io.StringIO(text, newline=''))
+        columns = _columns(path, next(reader, []))
         rows: list[_Row | str] = []
-        for row in reader:
-            if len(rows) == _MOST_ROWS:
+        for count, values in enumerate(reader):
+            if count == _MOST_ROWS:
                 raise CalibrationError(
                     f'{path} has more than {_MOST_ROWS} rows, the limit; use fewer boards'
                 )
-            rows.append(_row(row, f'{path}, line {reader.line_num}'))
+            if values:
+                rows.append(_row(values, columns, f'{path}, line {reader.line_num}'))
     except csv.Error as error:
         raise FileError(f'{path} cannot be read: {error}; give a table of points') from error
     left_out = tuple(row for row in rows if isinstance(row, str))
@@ -94,8 +95,15 @@ def read_points(path: Path) -> PointTable:
     return _table(points, left_out)
 
 
-def _check_header(path: Path, names: Sequence[str]) -> None:
-    """Raise a CalibrationError unless the first line names each column once."""
+class _Columns(NamedTuple):
+    """How many columns there are, and where each of `COLUMNS` is."""
+
+    width: int
+    places: tuple[int, ...]
+
+
+def _columns(path: Path, names: Sequence[str]) -> _Columns:
+    """Return the columns; raises a CalibrationError unless the first line names each once."""
     counts = Counter(names)
     for problem, wrong in (
         ('lacks the columns', [name for name in COLUMNS if not counts[name]]),
@@ -106,6 +114,7 @@ def _check_header(path: Path, names: Sequence[str]) -> None:
                 f'{path} {problem} {", ".join(wrong)}; its first line must name'
                 f' {", ".join(COLUMNS)}'
             )
+    return _Columns(len(names), tuple(names.index(name) for name in COLUMNS))
 
 
 class _Row(NamedTuple):
@@ -117,19 +126,19 @@ class _Row(NamedTuple):
     pixel: tuple[float, float]
 
 
-def _row(row: dict[str | None, Any], where: str) -> _Row | str:
+def _row(values: list[str], columns: _Columns, where: str) -> _Row | str:
     """Return a row, or why it is left out."""
-    if row['side'] not in {'left', 'right'}:
-        raise CalibrationError(
-            f'{where}: side must be left or right, got {shortened(row["side"])}'
-        )
-    if None in row:
+    if len(values) > columns.width:
         return f'{where}: there are more values than columns'
-    if not row['name'] or not row['id']:
+    values += [''] * (columns.width - len(values))
+    name, side, point, *numbers = (values[place] for place in columns.places)
+    if side not in {'left', 'right'}:
+        raise CalibrationError(f'{where}: side must be left or right, got {shortened(side)}')
+    if not name or not point:
         return f'{where}: name or id is missing'
     try:
-        X, Y, u, v = (float(row[name]) for name in COLUMNS[3:])
-    except (TypeError, ValueError):
+        X, Y, u, v = map(float, numbers)
+    except ValueError:
         X = Y = u = v = math.nan
     if not math.isfinite(X + Y + u + v):
         return f'{where}: {", ".join(COLUMNS[3:])} must be numbers; leave out points not found'
@@ -142,7 +151,7 @@ def _row(row: dict[str | None, Any], where: str) -> _Row | str:
         raise CalibrationError(
             f'{where}: u_px and v_px must be in the image, got {u:g} and {v:g}; they are in pixels'
         )
-    return _Row(where, row['name'], row['side'], row['id'], (X, Y), (u, v))
+    return _Row(where, name, side, point, (X, Y), (u, v))
 
 
 def _table(rows: list[_Row], left_out: tuple[str, ...]) -> PointTable:
