@@ -17,7 +17,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon evaluate benchmark docs nodes-page site images maintainers lock dist clean \
+        jazzy-environment colcon fuzz evaluate benchmark docs nodes-page site images maintainers lock dist clean \
         distclean
 
 help: ## this list
@@ -93,6 +93,11 @@ colcon: setup ## build, install and test as a ROS workspace does
 	@$(INSTALL) .venv-colcon colcon
 	.ci/colcon
 
+MINUTES ?= 10
+
+fuzz: setup ## changed inputs of every form for MINUTES=10; findings go to out/fuzz/
+	$(RUN) test/fuzz/run.py --minutes $(MINUTES) --seed $$(date +%s)
+
 # OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
 SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo
 
@@ -121,8 +126,9 @@ maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
 
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
-lock: ## resolve requirements/*.txt again with each of PYTHONS
-	@$(PYTHON) requirements/lock.py $(PYTHONS)
+lock: ## resolve requirements/*.txt again, with hashes, for each of PYTHONS
+	@$(INSTALL) .venv-lock lock
+	@$(PYTHON) requirements/lock.py .venv-lock/bin/uv $(PYTHONS)
 
 # A build folder that is there already would lend its old files to the wheel.
 dist: setup ## source distribution and wheel in dist/

@@ -1,13 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors that the package raises on purpose.
+"""Errors that the package raises on purpose, and foreign text in their messages.
 
 Every message states the problem, the value, the limit and the remedy. The command line prints it
-and returns exit status 1 (2 for a `ConfigError`); a node logs it and drops the frame.
+and returns exit status 1 (2 for a `ConfigError`); a node logs it and drops the frame. Names from
+bags, messages and files are written out where a terminal would obey them.
 """
+
+# Longest foreign value in a message, characters.
+_LONGEST = 120
+
+
+def plain_text(text: str) -> str:
+    r"""Return a text whose control characters are written out, as in ``\x1b[2J``.
+
+    Names in bags, messages and files may hold escape sequences, which a terminal would obey.
+    """
+    return ''.join(
+        one if one.isprintable() else repr(one)[1:-1] if one not in '\n\t' else one for one in text
+    )
+
+
+def shortened(value: object) -> str:
+    """Return a foreign value, or the text of another library's error, for a message."""
+    text = str(value) if isinstance(value, Exception) else repr(value)
+    text = plain_text(' '.join(text.split()))
+    return text if len(text) <= _LONGEST else f'{text[: _LONGEST - 4]} ...'
 
 
 class BinocularReconError(Exception):
     """Base of every error that the package raises on purpose."""
+
+    def __str__(self) -> str:
+        """Return the message without control characters."""
+        return plain_text(super().__str__())
 
 
 class ConfigError(BinocularReconError, ValueError):

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any
 
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, shortened
 
 OptionValue = bool | int | float | str
+# What the types are called in messages.
+KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'text'}
 
 
 def option(
@@ -58,13 +60,13 @@ def check_option(spec: dataclasses.Field[Any], value: object) -> OptionValue:
     kind = type(spec.default)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    if type(value) is not kind:
-        raise ConfigError(f'{spec.name} must be of type {kind.__name__}, got {value!r}')
     meta = spec.metadata
     if meta['choices'] is not None and value not in meta['choices']:
         raise ConfigError(
-            f'{spec.name} must be one of {", ".join(meta["choices"])}, got {value!r}'
+            f'{spec.name} must be one of {", ".join(meta["choices"])}, got {shortened(value)}'
         )
+    if type(value) is not kind:
+        raise ConfigError(f'{spec.name} must be {KINDS[kind]}, got {shortened(value)}')
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         low, high, step = meta['minimum'], meta['maximum'], meta['step']
         unit = f' {meta["unit"]}' if meta['unit'] else ''

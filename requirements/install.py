@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring an environment up to date: ``install.py [--exact] ENVIRONMENT LOCK...`` (see Makefile).
 
-``LOCK`` names lock files of this folder. The environment records what is in it, so that a second
-call does nothing. The record is away while something is being installed: an environment that was
-left half made has none and is made again.
+``LOCK`` names lock files of this folder; pip installs only files with the hashes in them. The
+environment records what is in it, so that a second call does nothing. The record is away while
+something is being installed: an environment that was left half made has none and is made again.
 """
 
 from __future__ import annotations
@@ -106,7 +106,8 @@ def steps(locks: list[str], ros: str) -> list[tuple[str, list[str]]]:
     project = ['--no-deps', '--no-build-isolation', '--editable', str(REPOSITORY)]
     result: list[tuple[str, list[str]]] = []
     for lock in locks:
-        arguments = ['--no-deps', '--no-build-isolation', '--requirement', f'{lock}.txt']
+        arguments = ['--no-deps', '--no-build-isolation', '--require-hashes']
+        arguments += ['--requirement', f'{lock}.txt']
         if lock == 'runtime' and ros:
             # The messages of an installed ROS are compiled for the numpy beside them.
             result.append(('project', ['--editable', str(REPOSITORY), *system_numpy()]))

@@ -1,100 +1,127 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock the environments: ``lock.py PYTHON...`` rewrites ``requirements/*.txt`` (``make lock``).
+"""Lock the environments: ``lock.py UV PYTHON...`` rewrites ``requirements/*.txt`` (``make lock``).
 
-Each interpreter's own pip resolves each environment from the ranges in ``setup.py`` and the
-``.in`` files; nothing is installed. Versions that differ between the interpreters get a marker.
+uv, an executable, resolves each environment for each CPython (``python3.10`` ...) from the ranges
+in ``setup.py`` and the ``.in`` files; nothing is installed and no interpreter is needed.
+Versions that differ between the interpreters get a marker. Each version carries the SHA-256 of
+all its files, so that pip installs nothing else.
 """
 
 from __future__ import annotations
 
-import json
-import os
+import ast
 import re
 import subprocess
 import sys
 import tempfile
 from collections import defaultdict
 from pathlib import Path
+from typing import NamedTuple
 
 FOLDER = Path(__file__).resolve().parent
-PROJECT = 'binocular-recon'
+# What ROS has wheels for. The hashes are those of all machines.
+PLATFORM = 'x86_64-manylinux_2_28'
 
 # Lock file: what it holds, and the lock files whose versions it must agree with.
 LOCKS: dict[str, tuple[list[str], list[str]]] = {
-    'runtime': (['.', 'setuptools'], []),
-    'oldest': (['.', 'setuptools', '-c', 'oldest.in'], []),
-    'ros-kilted': (['-r', 'ros-kilted.in'], ['runtime']),
-    'ros-jazzy': (['-r', 'ros-jazzy.in'], ['oldest']),
-    'test': (['-r', 'test.in'], ['runtime']),
-    'dev': (['-r', 'dev.in'], ['runtime', 'test']),
-    'docs': (['-r', 'docs.in'], ['runtime', 'test', 'dev']),
-    'contrib': (['.', 'setuptools', 'opencv-contrib-python-headless'], ['runtime']),
-    'colcon': (['-r', 'colcon.in'], ['runtime', 'test']),
+    'runtime': (['.', 'runtime.in'], []),
+    'oldest': (['.', 'runtime.in', '-c', 'oldest.in'], []),
+    'ros-kilted': (['ros-kilted.in'], ['runtime']),
+    'ros-jazzy': (['ros-jazzy.in'], ['oldest']),
+    'test': (['test.in'], ['runtime']),
+    'dev': (['dev.in'], ['runtime', 'test']),
+    'docs': (['docs.in'], ['runtime', 'test', 'dev']),
+    'contrib': (['.', 'runtime.in', 'contrib.in'], ['runtime']),
+    'lock': (['lock.in'], []),
+    'colcon': (['colcon.in'], ['runtime', 'test']),
 }
 
-Versions = dict[str, str]
+
+class Pin(NamedTuple):
+    """A locked version, and the SHA-256 of each of its files."""
+
+    version: str
+    hashes: tuple[str, ...]
 
 
-def resolve(python: str, requirements: list[str]) -> Versions:
-    """Return the version of every package that pip would install for ``requirements``."""
-    command = [python, '-m', 'pip', 'install', '-qq', '--dry-run', '--ignore-installed']
+Pins = dict[str, Pin]
+
+
+def ranges() -> list[str]:
+    """Return what ``setup.py`` requires."""
+    tree = ast.parse((FOLDER.parent / 'setup.py').read_text(encoding='utf-8'))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Dict):
+            for key, value in zip(node.keys, node.values, strict=True):
+                if isinstance(key, ast.Constant) and key.value == 'install_requires':
+                    found: list[str] = ast.literal_eval(value)
+                    return found
+    raise AssertionError('setup.py has no install_requires')
+
+
+def resolve(uv: str, minor: str, requirements: list[str]) -> Pins:
+    """Return every package that uv would install for ``requirements`` into CPython ``minor``."""
+    command = [uv, 'pip', 'compile', '-q', '--generate-hashes', '--no-header', '--no-annotate']
+    command += ['--python-version', minor, '--python-platform', PLATFORM]
     # empy (of the ROS wheels, pure Python) is the only one that offers no wheel
-    command += ['--only-binary', ':all:', '--no-binary', 'empy', '--report', '-']
-    command += [str(FOLDER.parent) if word == '.' else word for word in requirements]
-    done = subprocess.run(command, cwd=FOLDER, stdout=subprocess.PIPE, check=True)
-    report = json.loads(done.stdout[done.stdout.index(b'{') :])
-    packages = (item['metadata'] for item in report['install'])
-    versions = {re.sub(r'[-_.]+', '-', p['name']).lower(): p['version'] for p in packages}
-    versions.pop(PROJECT, None)
-    if 'opencv-contrib-python-headless' in versions:
-        versions.pop('opencv-python-headless', None)  # both own cv2/
-    return versions
+    command += ['--only-binary', ':all:', '--no-binary', 'empy']
+    done = subprocess.run(
+        [*command, *requirements], cwd=FOLDER, stdout=subprocess.PIPE, text=True, check=True
+    )
+    pins = {
+        name: Pin(version, tuple(sorted(re.findall(r'--hash=sha256:([0-9a-f]{64})', rest))))
+        for name, version, rest in re.findall(
+            r'^([a-z0-9-]+)==(\S+)((?: \\\n    --hash=\S+)+)', done.stdout, re.MULTILINE
+        )
+    }
+    if 'opencv-contrib-python-headless' in pins:
+        pins.pop('opencv-python-headless', None)  # both own cv2/
+    return pins
 
 
-def lock(python: str) -> dict[str, Versions]:
-    """Return the versions of each lock file under ``python``."""
-    locked: dict[str, Versions] = {}
+def lock(uv: str, minor: str) -> dict[str, Pins]:
+    """Return the pins of each lock file under CPython ``minor``."""
+    locked: dict[str, Pins] = {}
     for name, (requirements, others) in LOCKS.items():
         print(f'  {name}', flush=True)
-        known = {p: v for other in others for p, v in locked[other].items()}
+        known = {package: pin for other in others for package, pin in locked[other].items()}
         with tempfile.TemporaryDirectory() as folder:
             constraints = Path(folder, 'known.txt')
-            constraints.write_text(''.join(f'{p}=={v}\n' for p, v in known.items()))
-            locked[name] = resolve(python, [*requirements, '-c', str(constraints)])
+            constraints.write_text(''.join(f'{p}=={pin.version}\n' for p, pin in known.items()))
+            project = Path(folder, 'project.in')
+            project.write_text('\n'.join(ranges()))
+            given = [str(project) if word == '.' else word for word in requirements]
+            locked[name] = resolve(uv, minor, [*given, '-c', str(constraints)])
     return locked
 
 
-def lines(per_python: dict[str, Versions]) -> list[str]:
+def lines(per_python: dict[str, Pins]) -> list[str]:
     """Return requirement lines; a version that not all interpreters share carries a marker."""
-    pins: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for minor, versions in per_python.items():
-        for package, version in versions.items():
-            pins[package, version].append(minor)
+    shared: dict[tuple[str, Pin], list[str]] = defaultdict(list)
+    for minor, pins in per_python.items():
+        for package, pin in pins.items():
+            shared[package, pin].append(minor)
     text = []
-    for (package, version), minors in sorted(pins.items()):
+    for (package, pin), minors in sorted(shared.items()):
         marker = (
             f' ; python_version in "{" ".join(minors)}"' if len(minors) < len(per_python) else ''
         )
-        text.append(f'{package}=={version}{marker}')
+        hashes = ''.join(f' \\\n    --hash=sha256:{digest}' for digest in pin.hashes)
+        text.append(f'{package}=={pin.version}{marker}{hashes}')
     return text
 
 
-def main(pythons: list[str]) -> None:
-    """Write every lock file from the given interpreters."""
-    os.environ['PIP_DISABLE_PIP_VERSION_CHECK'] = '1'
-    locked: dict[str, dict[str, Versions]] = {}
-    for python in pythons:
-        query = 'import sys; print("%d.%d" % sys.version_info[:2])'
-        minor = subprocess.run(
-            [python, '-c', query], capture_output=True, text=True, check=True
-        ).stdout.strip()
+def main(uv: str, minors: list[str]) -> None:
+    """Write every lock file for the given interpreters."""
+    locked: dict[str, dict[str, Pins]] = {}
+    for minor in minors:
         print(f'CPython {minor}', flush=True)
-        locked[minor] = lock(python)
+        locked[minor] = lock(uv, minor)
     for name in LOCKS:
         head = f'# CPython {", ".join(locked)}; made by `make lock`, not by hand\n'
-        body = lines({minor: versions[name] for minor, versions in locked.items()})
+        body = lines({minor: pins[name] for minor, pins in locked.items()})
         Path(FOLDER, f'{name}.txt').write_text(head + ''.join(f'{line}\n' for line in body))
 
 
 if __name__ == '__main__':
-    main(sys.argv[1:])
+    main(sys.argv[1], [name.removeprefix('python') for name in sys.argv[2:]])

@@ -67,6 +67,11 @@ def test_first_call_makes_everything_and_second_nothing(update: Update) -> None:
     assert update(*locks) == []
 
 
+def test_only_files_with_the_locked_hashes_are_installed(install: ModuleType) -> None:
+    for name, arguments in install.steps(['runtime', 'ros-kilted', 'test'], ''):
+        assert ('--require-hashes' in arguments) == (name != 'project')
+
+
 def test_another_lock_is_added(update: Update) -> None:
     update('runtime')
     assert update('runtime', 'test') == ['test.txt']

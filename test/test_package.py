@@ -204,16 +204,25 @@ def test_no_file_names_a_machine_or_an_index() -> None:
 def locked(name: str, python: str) -> dict[str, Version]:
     """Return the versions that a lock file pins for one CPython."""
     pins = {}
-    for line in (REPOSITORY / 'requirements' / f'{name}.txt').read_text().splitlines():
+    text = (REPOSITORY / 'requirements' / f'{name}.txt').read_text()
+    for line in text.replace(' \\\n', '').splitlines():
         if line.startswith('#'):
             continue
-        requirement = Requirement(line)
-        (pin,) = requirement.specifier
-        assert pin.operator == '=='
+        pin, *hashes = line.split('    --hash=')
+        assert hashes and all(re.fullmatch('sha256:[0-9a-f]{64}', one) for one in hashes), pin
+        requirement = Requirement(pin)
+        (version,) = requirement.specifier
+        assert version.operator == '=='
         if requirement.marker is None or requirement.marker.evaluate({'python_version': python}):
             assert requirement.name not in pins
-            pins[requirement.name] = Version(pin.version)
+            pins[requirement.name] = Version(version.version)
     return pins
+
+
+@pytest.mark.parametrize('python', PYTHONS)
+def test_every_locked_version_has_hashes(python: str) -> None:
+    for path in (REPOSITORY / 'requirements').glob('*.txt'):
+        assert locked(path.stem, python), path
 
 
 @pytest.mark.parametrize('python', PYTHONS)

@@ -7,6 +7,8 @@ import shutil
 import sys
 import time
 
+from binocular_recon.errors import plain_text
+
 # Steps may take microseconds; drawing the line takes longer.
 _REDRAW_PERIOD_S = 0.1
 # Without a terminal: often enough to show progress.
@@ -63,7 +65,7 @@ class ProgressBar:
             step_s = (now_s - self._start) / (done - self._before)
             left_s = step_s * max(0, self._total - done)
             text += f', {left_s:.0f} s left'
-        return f'{text}  {note}' if note else text
+        return f'{text}  {plain_text(note)}' if note else text
 
     def _redraw(self, done: int, text: str) -> None:
         share = min(1.0, done / self._total)

@@ -24,7 +24,7 @@ from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import StereoRig
 from binocular_recon.cli.options import add_output_option, image_size, positive
-from binocular_recon.errors import CalibrationError, ConfigError
+from binocular_recon.errors import CalibrationError, ConfigError, plain_text
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
@@ -32,6 +32,9 @@ from binocular_recon.machine import peak_bytes
 from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
+
+# Rows of a table of points that are named one by one when they are left out.
+_MOST_NAMED = 20
 
 
 class _Marks(NamedTuple):
@@ -110,7 +113,7 @@ def run(args: argparse.Namespace) -> None:
         lambda: calibrate(captures, target, size, lens=args.lens, rejected=rejected)
     )
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
-    print(summary(result))
+    print(plain_text(summary(result)))
     print(', '.join(str(path) for path in files))
     peak = peak_bytes()
     print(
@@ -204,8 +207,10 @@ def _detect_marks(args: argparse.Namespace) -> _Marks:
 
 def _read_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
-    for reason in table.left_out:
-        print(f'left out: {reason}')
+    for reason in table.left_out[:_MOST_NAMED]:
+        print(plain_text(f'left out: {reason}'))
+    if len(table.left_out) > _MOST_NAMED:
+        print(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
     if args.image_size is None:
         size = table.least_size
         print(

@@ -12,7 +12,7 @@ from types import ModuleType
 
 from binocular_recon import __version__
 from binocular_recon.apps.signals import Terminated, ignore_signals, leave, raise_signals
-from binocular_recon.errors import BinocularReconError, ConfigError
+from binocular_recon.errors import BinocularReconError, ConfigError, plain_text
 
 # The program's name in all messages, however it was started.
 PROGRAM = 'binocular-recon'
@@ -34,6 +34,7 @@ COMMANDS = {
     'benchmark': 'measure speed and memory of every stage, against its peers',
 }
 
+_MOST_OPTIONS = 1000
 EXIT_DONE, EXIT_PROBLEM, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_TERMINATED = 0, 1, 2, 130, 143
 
 
@@ -55,6 +56,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     of_process = argv is None
     argv = sys.argv[1:] if argv is None else argv
+    # argparse looks at all options again for each
+    if sum(word.startswith('-') for word in argv) > _MOST_OPTIONS:
+        print(f'{PROGRAM}: there are more than {_MOST_OPTIONS} options', file=sys.stderr)
+        return EXIT_USAGE
     command = _command(argv)
     program = f'{PROGRAM} {command}' if command in COMMANDS else PROGRAM
     try:
@@ -82,7 +87,7 @@ def _run(argv: Sequence[str], program: str) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PROBLEM
     except (BinocularReconError, OSError, MemoryError) as error:
-        message = ' '.join(str(error).split())
+        message = plain_text(' '.join(str(error).split()))
         if isinstance(error, MemoryError):
             message = f'{message}; choose a smaller disparity_range or smaller images'
         print(f'{program}: {message}', file=sys.stderr)

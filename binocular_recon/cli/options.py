@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.config import PRESETS, ChainConfig
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, plain_text
 from binocular_recon.options import Options, OptionValue, check_option
 
 # Options whose 0 has a name: found from the images.
@@ -130,7 +130,7 @@ def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
 
 def note(text: str) -> None:
     """Print something that is not the result, on stderr."""
-    print(text, file=sys.stderr)
+    print(plain_text(text), file=sys.stderr)
 
 
 def names(text: str) -> list[str]:

@@ -7,14 +7,16 @@ m); parameters that were not estimated have rows and columns of 0.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from binocular_recon.camera import Camera, RigCovariance
-from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.errors import CalibrationError
+from binocular_recon.io.text_files import numbers, read_json
+
+_REMEDY = 'calibrate again, or delete it to go on without the covariance'
 
 
 def read_covariance(path: Path, left: Camera, right: Camera) -> RigCovariance | None:
@@ -35,42 +37,37 @@ def read_covariance(path: Path, left: Camera, right: Camera) -> RigCovariance | 
     Raises
     ------
     FileError
-        If the file cannot be read.
+        If the file cannot be read or is not JSON.
     CalibrationError
         If it is not a calibration, or that of other cameras; the message begins with the path.
 
     """
-    try:
-        content: Any = json.loads(path.read_text(encoding='utf-8'))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (ValueError, RecursionError) as error:
-        raise CalibrationError(
-            f'{path} is not a calibration: {error}; calibrate again, or delete it to go on without'
-            ' the covariance'
-        ) from error
-    except OSError as error:
-        raise FileError(f'{path} cannot be read: {error.strerror or error}') from error
-    if not isinstance(content, dict) or 'covariance' not in content:
+    content = read_json(path, _REMEDY)
+    if not isinstance(content, dict):
+        raise CalibrationError(f'{path} is not a calibration as `calibrate` writes it; {_REMEDY}')
+    if 'covariance' not in content:
         return None
     try:
         _check_cameras(content, left, right)
-        parameters = tuple(str(name) for name in content['parameters'])
-        matrix = np.array(content['covariance'], np.float64)
-        return RigCovariance(left, right, parameters, matrix)
-    except CalibrationError as error:  # a ValueError too
+        names = content.get('parameters')
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise CalibrationError(f'parameters must be a list of names; {_REMEDY}')
+        matrix = numbers('covariance', content['covariance'], CalibrationError)
+        return RigCovariance(left, right, tuple(names), matrix)
+    except CalibrationError as error:
         raise CalibrationError(f'{path}: {error}') from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(
-            f'{path} is not a calibration as `calibrate` writes it: {error!r}'
-        ) from error
 
 
 def _check_cameras(content: dict[str, Any], left: Camera, right: Camera) -> None:
     """Raise a CalibrationError unless the file states the cameras of the camera files."""
     for side, camera in (('left', left), ('right', right)):
-        K = np.array(content[side]['K'], np.float64)
-        D = np.array(content[side]['D'], np.float64)
+        stated = content.get(side)
+        if not isinstance(stated, dict) or not {'K', 'D'} <= stated.keys():
+            raise CalibrationError(f'K and D of the {side} camera are missing; {_REMEDY}')
+        K = numbers(f'K of the {side} camera', stated['K'], CalibrationError)
+        D = numbers(f'D of the {side} camera', stated['D'], CalibrationError)
         same = K.shape == camera.K.shape and D.shape == camera.D.shape
         if not same or not (np.allclose(K, camera.K) and np.allclose(D, camera.D)):
             raise CalibrationError(

@@ -15,6 +15,7 @@ from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.files import complete_file
 from binocular_recon.io.image_headers import jpeg_segments, read_header
 from binocular_recon.io.jpeg_check import share_found
+from binocular_recon.io.native_lines import native_lines_held
 
 
 def read_image_file(path: Path) -> Image:
@@ -83,7 +84,8 @@ def decoded_image(data: bytes, name: str, size: tuple[int, int] | None = None) -
     if size:
         check_image_size((header.width, header.height), size, name)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        with native_lines_held():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 from pathlib import Path
 from typing import BinaryIO
 
@@ -11,6 +13,7 @@ import numpy as np
 from binocular_recon.errors import FileError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_file
+from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
 # Longest header line accepted, bytes: a file that is not a PFM is not searched for a line end.
 _LINE_LIMIT = 128
@@ -66,11 +69,13 @@ def read_pfm(path: Path) -> FloatImage:
     try:
         with path.open('rb') as file:
             width, height, byte_order = _read_header(path, file)
-            data = file.read(4 * width * height + 1)
+            # a header may promise any size: nothing is allocated that the file does not hold
+            left = os.fstat(file.fileno()).st_size - file.tell()
+            data = file.read(min(left, 4 * width * height + 1)) if left > 0 else b''
     except OSError as error:
         if isinstance(error, FileError):
             raise
-        raise FileError(f'{path} cannot be read: {error.strerror}') from error
+        raise FileError(f'{path} cannot be read: {error.strerror}; give a PFM file') from error
     if len(data) != 4 * width * height:
         surplus = 'more' if len(data) > 4 * width * height else f'{len(data)}'
         raise FileError(
@@ -85,16 +90,23 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[int, int, str]:
     """Return width, height and byte order (``<`` or ``>``)."""
     kind = file.readline(_LINE_LIMIT).strip()
     if kind == b'PF':
-        raise FileError(f'{path} has three channels (PF); a disparity map has one (Pf)')
+        raise FileError(
+            f'{path} has three channels (PF); give a disparity map, which has one (Pf)'
+        )
     try:
         if kind != b'Pf':
             raise ValueError
         width, height = map(int, file.readline(_LINE_LIMIT).split())
         scale = float(file.readline(_LINE_LIMIT))
-        if width <= 0 or height <= 0 or not abs(scale) > 0:
+        if width <= 0 or height <= 0 or not 0 < abs(scale) < math.inf:
             raise ValueError
     except ValueError:
         raise FileError(
             f'{path} is not a PFM file: expected the lines "Pf", "WIDTH HEIGHT" and a scale'
         ) from None
+    if max(width, height) > LARGEST_SIDE_PX:
+        raise FileError(
+            f'{path} has {width}x{height} px; a disparity map has at most {LARGEST_SIDE_PX} px a'
+            ' side'
+        )
     return width, height, '<' if scale < 0 else '>'

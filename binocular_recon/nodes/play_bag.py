@@ -14,7 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 from binocular_recon.errors import BagError
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.nodes.player import Player
-from binocular_recon.nodes.runtime.process import init_ros
+from binocular_recon.nodes.runtime.process import init_ros, parameters_checked
 
 
 def play(
@@ -50,7 +50,7 @@ def play(
         If the bag cannot be read, none of its topics can be published, or it is damaged (after
         everything before the damage was played).
     ConfigError
-        If ROS rejects ``ros_args``.
+        If ROS rejects ``ros_args`` or a parameter in them.
     KeyboardInterrupt
         After an interruption, when the publishers have been closed.
 
@@ -58,7 +58,12 @@ def play(
     with Bag(path) as bag:
         command_line = ['play_bag', *(['--ros-args', *ros_args] if ros_args else [])]
         init_ros(command_line, signal_handler_options=SignalHandlerOptions.NO)
-        node = Node('play_bag', start_parameter_services=False)
+        try:
+            with parameters_checked():
+                node = Node('play_bag', start_parameter_services=False)
+        except BaseException:
+            rclpy.try_shutdown()
+            raise
         try:
             player = Player(node, bag, rate=rate, clock=clock)
             node.get_logger().info(player.describe())

@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 import time
 from collections.abc import Callable
+from importlib.machinery import PathFinder
+from pathlib import Path
 from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -16,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.errors import BagError
+from binocular_recon.errors import BagError, plain_text
 from binocular_recon.io.bags.reader import Bag, Topic
 from binocular_recon.nodes.runtime.diagnostics import PERIOD_S, DiagnosticsPublisher
 from binocular_recon.nodes.runtime.health import Health
@@ -28,6 +32,7 @@ SETTLING_S = 0.5
 CLOCK_PERIOD_S = 0.01
 # Between rounds of a recording that is too short to have a period of its own.
 ROUND_PAUSE_S = 1.0
+_TYPE_NAME = re.compile(r'[a-z]\w*/msg/[A-Z]\w*', re.ASCII)
 
 
 class Timer(Protocol):
@@ -81,7 +86,9 @@ class Player:
             message_type = _message_type(topic.msgtype)
             if message_type is None:
                 node.get_logger().warning(
-                    f'{topic.name} is skipped: its type {topic.msgtype} is not installed'
+                    plain_text(
+                        f'{topic.name} is skipped: its type {topic.msgtype} is not installed'
+                    )
                 )
                 continue
             qos = _qos_profile(topic)
@@ -96,7 +103,9 @@ class Player:
     def describe(self) -> str:
         """Return what is played, for the log."""
         names = ', '.join(f'{x.name} ({x.message_count})' for x in self._publishers)
-        return f'playing {self._bag.path} at {self._rate:g} x the recorded speed: {names}'
+        return plain_text(
+            f'playing {self._bag.path} at {self._rate:g} x the recorded speed: {names}'
+        )
 
     def wait_for_subscribers(self, least_s: float = 0.0) -> None:
         """Return when all topics have matched all known subscribers, or after a while.
@@ -184,13 +193,24 @@ class Player:
 
 
 def _message_type(msgtype: str) -> type[Any] | None:
-    """Return the class of a type such as ``sensor_msgs/msg/Image``, None if not installed."""
-    package, _, name = msgtype.partition('/msg/')
+    """Return the class of a type such as ``sensor_msgs/msg/Image``, None if not installed.
+
+    A bag may name any package: none is imported from the current folder.
+    """
+    if not _TYPE_NAME.fullmatch(msgtype):
+        return None
+    package, _, name = msgtype.split('/')
+    if package not in sys.modules:
+        elsewhere = [one for one in sys.path if one and Path(one).resolve() != Path.cwd()]
+        installed = PathFinder.find_spec(package, elsewhere)
+        found = PathFinder.find_spec(package)
+        if installed is None or found is None or installed.origin != found.origin:
+            return None
     try:
-        found: type[Any] = getattr(importlib.import_module(f'{package}.msg'), name)
+        kind: type[Any] = getattr(importlib.import_module(f'{package}.msg'), name)
     except (ImportError, AttributeError):
         return None
-    return found
+    return kind if hasattr(kind, 'get_fields_and_field_types') else None
 
 
 def _qos_profile(topic: Topic) -> QoSProfile:

@@ -45,8 +45,8 @@ def test_every_option_is_described_and_named_once() -> None:
             {'small_step_penalty': 100, 'large_step_penalty': 60},
             'penalty must be at most large_step_penalty, got 100 and 60',
         ),
-        ({'min_disparity': 1.5}, 'min_disparity must be of type int, got 1.5'),
-        ({'disparity_range': True}, 'disparity_range must be of type int, got True'),
+        ({'min_disparity': 1.5}, 'min_disparity must be a whole number, got 1.5'),
+        ({'disparity_range': True}, 'disparity_range must be a whole number, got True'),
     ],
 )
 def test_bad_option_is_refused(overrides: dict[str, OptionValue], message: str) -> None:

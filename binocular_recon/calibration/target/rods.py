@@ -20,6 +20,7 @@ from binocular_recon.calibration.target.mark_types import BAND_EDGE, MarkType, f
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.images import Mask
+from binocular_recon.io.text_files import read_yaml
 
 REQUIRED_KEYS = ('rods', 'marks', 'rod_diameter', 'placement_sigma')
 OPTIONAL_KEYS = ('mark_type', 'height_sigma', 'tilt_sigma')
@@ -232,16 +233,7 @@ def load_rods(path: str | Path) -> RodBoard:
         If its content is not a valid board; the message names the file and the key.
 
     """
-    try:
-        values = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise FileError(
-            f'{path} cannot be read: {reason}; give the rods.yaml of the rods'
-        ) from error
-    except yaml.YAMLError as error:
-        detail = ' '.join(str(error).split())
-        raise FileError(f'{path} is not valid YAML: {detail}') from error
+    values = read_yaml(Path(path), 'give the rods.yaml of the rods')
     if not isinstance(values, Mapping):
         raise CalibrationError(
             f'{path} holds no rods; expected the keys {", ".join(REQUIRED_KEYS)}'

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from binocular_recon.errors import FileError, ImageError
 from binocular_recon.evaluation.accuracy.metrics import visible_from_truth
 from binocular_recon.images import FloatImage, Image, Mask
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.io.text_files import number, read_yaml, whole_number
 
 # A sparser ground truth does not show what hides what.
 _DENSE_PERCENT = 40.0
@@ -145,27 +145,17 @@ def _is_scene(folder: Path) -> bool:
 
 
 def _read_facts(path: Path) -> dict[str, Any]:
-    try:
-        facts = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except FileNotFoundError:
-        raise FileError(f'{path} is missing; a scene needs it') from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise FileError(f'{path} cannot be read as YAML: {error}') from error
+    facts = read_yaml(path, 'a scene needs it')
     if not isinstance(facts, dict) or 'max_disparity_px' not in facts:
         raise FileError(f'{path} lacks max_disparity_px, the number of disparities to search')
     positive = ('max_disparity_px', 'focal_px', 'baseline_m')
     for key in (*positive, 'principal_point_offset_px'):
         if key not in facts:
             continue
-        value = facts[key]
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, (int, float))
-            or not np.isfinite(value)
-        ):
-            raise FileError(f'{path}: {key} must be a number, got {value!r}')
-        if key in positive and not value > 0:
-            raise FileError(f'{path}: {key} must be positive, got {value!r}')
+        read = whole_number if key == 'max_disparity_px' else number
+        facts[key] = read(f'{path}: {key}', facts[key], FileError)
+        if key in positive and not facts[key] > 0:
+            raise FileError(f'{path}: {key} must be positive, got {facts[key]:g}')
     return facts
 
 

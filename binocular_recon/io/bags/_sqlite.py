@@ -13,6 +13,8 @@ from binocular_recon.errors import BagError
 
 # What SQLite adds to the name of a file for messages that are not in it yet, or may be undone.
 _JOURNALS = ('-wal', '-journal')
+# What reading a damaged file raises: SQLite's messages quote names of it, UTF-8 or not.
+DAMAGE = (sqlite3.Error, UnicodeDecodeError)
 
 
 def has_journal(path: Path) -> bool:
@@ -28,7 +30,7 @@ def can_be_read(path: Path) -> bool:
     try:
         with closing(_connect(path)) as database:
             database.execute('SELECT 1 FROM sqlite_master').fetchone()
-    except sqlite3.Error:
+    except DAMAGE:
         return False
     return True
 
@@ -46,7 +48,7 @@ def merge_journal(path: Path, folder: Path) -> Path:
                 shutil.copyfile(source, folder / source.name)
         with closing(sqlite3.connect(copy)) as database:
             database.execute('PRAGMA journal_mode=DELETE')
-    except (OSError, sqlite3.Error) as error:
+    except (OSError, *DAMAGE) as error:
         raise BagError(
             f'{path} cannot be merged with its journal in {folder}: {error}; open it once with'
             ' sqlite3, or free the disk'
@@ -85,4 +87,6 @@ def scan_tables(path: Path) -> Iterator[tuple[str, str, str, int, bytes]]:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    database = sqlite3.connect(f'{path.resolve().as_uri()}?mode=ro', uri=True)
+    database.text_factory = lambda data: data.decode(errors='replace')  # damaged names
+    return database

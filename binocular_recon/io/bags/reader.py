@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
@@ -12,12 +11,11 @@ from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-import yaml
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from binocular_recon.errors import BagError
+from binocular_recon.errors import BagError, plain_text
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
 from binocular_recon.io.bags._salvage import check_index, file_format, is_compressed, unpack
 from binocular_recon.io.bags._sources import (
@@ -29,7 +27,14 @@ from binocular_recon.io.bags._sources import (
     Topic,
     TopicQos,
 )
-from binocular_recon.io.bags._sqlite import can_be_read, check_tables, has_journal, merge_journal
+from binocular_recon.io.bags._sqlite import (
+    DAMAGE,
+    can_be_read,
+    check_tables,
+    has_journal,
+    merge_journal,
+)
+from binocular_recon.io.text_files import read_yaml
 
 __all__ = ['Bag', 'BagMessage', 'Topic', 'TopicQos', 'decode', 'ros2_types']
 
@@ -184,7 +189,7 @@ class Bag(AbstractContextManager['Bag']):
         if not metadata.exists():
             return []
         try:
-            content = yaml.safe_load(metadata.read_bytes())['rosbag2_bagfile_information']
+            content = read_yaml(metadata, 'its files are read')['rosbag2_bagfile_information']
             files = [self.path / PurePath(name).name for name in content['relative_file_paths']]
         except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             self.note(f'{metadata} is damaged ({error}); all files in its folder are read')
@@ -224,7 +229,7 @@ class Bag(AbstractContextManager['Bag']):
         journal = has_journal(path)
         if journal and not can_be_read(path):
             path, journal = merge_journal(path, self._temporary_folder()), False
-        with suppress(sqlite3.Error):  # damage is found below
+        with suppress(*DAMAGE):  # damage is found below
             check_tables(path)
         if not journal:  # which rosbags would leave out
             with suppress(Exception):  # as above
@@ -242,6 +247,7 @@ class Bag(AbstractContextManager['Bag']):
 
     def note(self, sentence: str) -> None:
         """Add a sentence to `damage`, once."""
+        sentence = plain_text(sentence)
         if sentence not in self.damage:
             self.damage.append(sentence)
 

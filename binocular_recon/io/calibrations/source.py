@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.io.text_files import check_structure
 
 # Calibrations have a few kilobytes. YAML takes seconds per megabyte; mrcal and MATLAB may add the
 # observations that a calibration was made from.
@@ -155,6 +156,10 @@ def _check_parts(text: str) -> None:
 def _yaml(text: str) -> Any:
     if text.startswith('%YAML'):  # OpenCV writes %YAML:1.0, which is none
         text = text.partition('\n')[2]
+    try:
+        check_structure(text, aliases=True)
+    except FileError as error:
+        raise ValueError(str(error)) from error
     loader = _Loader(text)
     try:
         node = loader.get_single_node()

@@ -120,7 +120,7 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
     Raises
     ------
     ImageError
-        If the image is damaged or not 32FC1, or the limits are missing.
+        If the image is damaged or not 32FC1, or the limits are missing or not finite.
     CalibrationError
         If ``f`` or ``t`` contradict the rig.
 
@@ -128,6 +128,18 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
     if message.image.encoding != '32FC1':
         raise ImageError(f'disparity has encoding {message.image.encoding!r}; it must be 32FC1')
     values = image_samples(message.image, 'disparity')
+    baseline_m = message.t if hasattr(message, 't') else message.T
+    for name, stated in (
+        ('min_disparity', message.min_disparity),
+        ('max_disparity', message.max_disparity),
+        ('delta_d', message.delta_d),
+        ('f', message.f),
+        ('t', baseline_m),
+    ):
+        if not np.isfinite(stated):
+            raise ImageError(
+                f'disparity has {name} = {stated:g}; the sender must fill it with a finite number'
+            )
     low, high = float(message.min_disparity), float(message.max_disparity)
     if not low < high:
         raise ImageError(
@@ -136,7 +148,7 @@ def read_disparity(message: Any, rig: StereoRig) -> DisparityMap:
         )
     for name, stated, own in (
         ('f', message.f, rig.focal_px),
-        ('t', message.t if hasattr(message, 't') else message.T, rig.baseline_m),
+        ('t', baseline_m, rig.baseline_m),
     ):
         if not np.isclose(stated, own, rtol=_ROUNDING):
             raise CalibrationError(

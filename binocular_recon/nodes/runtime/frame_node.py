@@ -6,13 +6,13 @@ from __future__ import annotations
 import functools
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.errors import BinocularReconError, CalibrationError, plain_text
 from binocular_recon.inputs.clocks import Mismatch
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
@@ -107,7 +107,7 @@ class FrameNode(BaseNode):
         )
         self.health.state('calibration read otherwise', '; '.join(rig.notices))
         for notice in rig.notices:
-            self.get_logger().info(notice)
+            self.get_logger().info(plain_text(notice))
 
     def warn_of_rig(self, rig: StereoRig) -> None:
         """Warn while frames are processed with a calibration that is probably wrong."""
@@ -134,12 +134,9 @@ class FrameNode(BaseNode):
         level = DiagnosticStatus.ERROR
         if len(silent) == len(required):
             level = DiagnosticStatus.STALE
-            text = f'no messages on {", ".join(silent)}; start the cameras or check the remappings'
-            text += self._explain_published(silent)
+            text = f'no messages on {", ".join(silent)}; {self._who_is_silent(silent)}'
         elif silent:
-            since = ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in silent.items())
-            text = f'no messages on {since}; check their source (node, camera, cable)'
-            text += self._explain_published(silent)
+            text = f'no messages on {_since(silent)}; {self._who_is_silent(silent)}'
         elif _SETS in ages_s:
             text = self.explain_missing_frames()
         elif too_late := self._explain_lateness():
@@ -147,6 +144,8 @@ class FrameNode(BaseNode):
         elif superseded:
             level = DiagnosticStatus.WARN
             text = f'cannot keep up: dropped {superseded} frames in the last second'
+        elif pausing := self.health.pausing(required):
+            return DiagnosticStatus.WARN, f'no messages on {_since(pausing)}'
         else:
             return DiagnosticStatus.OK, f'{processed} frames in the last second'
         self.health.log(level, text)
@@ -215,20 +214,27 @@ class FrameNode(BaseNode):
             f' dropped; raise queue_size to at least {max(needed.values())}'
         )
 
-    def _explain_published(self, silent: Collection[str]) -> str:
-        """Say what else a silent topic may mean if somebody publishes images on it, or ''."""
-        published = [
-            topic
-            for (topic, one), subscription in zip(
-                self._inputs.items(), self._subscriptions_in_use, strict=True
-            )
-            if topic in silent
-            and one.transported
-            and self.count_publishers(subscription.topic_name) > 0
-        ]
-        if not published:
-            return ''
-        return f'; if images are sent on {", ".join(published)}, all are lost: {SHARED_MEMORY}'
+    def _who_is_silent(self, silent: Collection[str]) -> str:
+        """Say who publishes topics without messages, and what to do.
+
+        A publisher that is there but sends nothing knows why better than this node.
+        """
+        publishers, images = set(), []
+        for (topic, one), used in zip(
+            self._inputs.items(), self._subscriptions_in_use, strict=True
+        ):
+            found = self.get_publishers_info_by_topic(used.topic_name) if topic in silent else ()
+            publishers |= {f'{who.node_namespace.rstrip("/")}/{who.node_name}' for who in found}
+            images += [topic] if found and one.transported else []
+        if not publishers:
+            return 'nobody publishes them: start the cameras or check the remappings'
+        known = sorted(name for name in publishers if '/_' not in name)  # or not discovered yet
+        text = (
+            f'{", ".join(known) or "their publisher"} publishes them but sends nothing: its log'
+            ' and its status on /diagnostics say why (for a camera: driver, cable, trigger)'
+        )
+        lost = f'; if images are sent on {", ".join(images)}, all are lost: {SHARED_MEMORY}'
+        return text + lost if images else text
 
     def _is_published(self, optional: str) -> bool:
         return self.count_publishers(self._optional[optional]) > 0
@@ -278,3 +284,8 @@ class FrameNode(BaseNode):
         else:
             self._processed += 1
             self.health.processed(time.monotonic() - begun_s)
+
+
+def _since(ages_s: Mapping[str, float]) -> str:
+    """Return topics, and since when each has been silent."""
+    return ', '.join(f'{topic} for {age_s:.1f} s' for topic, age_s in ages_s.items())

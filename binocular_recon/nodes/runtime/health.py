@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from binocular_recon.errors import plain_text
+
 # How often a problem is repeated in the log, and for how long it stays in the status.
 _LOG_EVERY_S = 5.0
 _REMEMBERED_S = 3.0
@@ -115,7 +117,7 @@ class Health:
     def state(self, name: str, value: str) -> None:
         """Set a value of the status, such as the calibration in use."""
         with self._lock:
-            self._facts[name] = value
+            self._facts[name] = plain_text(value)
 
     def error(self, text: str) -> None:
         """Report that a frame could not be used; the status shows it for a while."""
@@ -135,12 +137,25 @@ class Health:
 
         A topic counts as silent after three of its intervals, at least three seconds.
         """
+        return self._without_message(3.0)
+
+    def pausing(self, topics: list[str]) -> dict[str, float]:
+        """Return those of the topics whose messages have stopped, before they count as silent.
+
+        After three of their intervals, at least one second.
+        """
+        with self._lock:
+            seen = [topic for topic in topics if self._arrivals[topic].interval_s]
+        ages_s = self._without_message(1.0)
+        return {topic: ages_s[topic] for topic in seen if topic in ages_s}
+
+    def _without_message(self, least_s: float) -> dict[str, float]:
         with self._lock:
             now = self._clock()
             return {
                 topic: now - arrivals.last_s
                 for topic, arrivals in self._arrivals.items()
-                if now - arrivals.last_s > 3 * max(1.0, arrivals.interval_s)
+                if now - arrivals.last_s > max(least_s, 3 * arrivals.interval_s)
             }
 
     def status(
@@ -174,6 +189,7 @@ class Health:
 
     def log(self, level: bytes, text: str) -> None:
         """Log a problem, unless one of the same kind was logged just before."""
+        text = plain_text(text)
         kind = _NUMBER.sub('#', text)
         with self._lock:
             now = self._clock()
@@ -195,6 +211,7 @@ class Health:
             self._logger.warning(text)
 
     def _remember(self, level: bytes, text: str) -> None:
+        text = plain_text(text)
         with self._lock:
             self._problems[level] = (self._clock(), text)
         self.log(level, text)

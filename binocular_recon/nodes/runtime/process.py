@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.executors import (
     ExternalShutdownException,
     MultiThreadedExecutor,
@@ -22,9 +23,21 @@ from rclpy.utilities import remove_ros_args
 from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.nodes.runtime import shared_memory
+from binocular_recon.options import KINDS
 
 # The source location that ROS appends to its errors.
 _LOCATION = re.compile(r', at \S+:\d+')
+# How ROS says that a parameter of its own has a value of a wrong type.
+_WRONG_TYPE = re.compile(
+    r"parameter '(?P<name>.*)' to '(?P<value>.*)' of type '\w+', expecting type '(?P<kind>\w+)'",
+    re.DOTALL,
+)
+_KINDS = {
+    'BOOL': KINDS[bool],
+    'INTEGER': KINDS[int],
+    'DOUBLE': f'{KINDS[float]} with a decimal point',
+    'STRING': KINDS[str],
+}
 
 
 def init_ros(command_line: Sequence[str], **options: Any) -> None:
@@ -75,6 +88,24 @@ def _prepare_shared_memory() -> None:
         logger.warning(short)
 
 
+@contextlib.contextmanager
+def parameters_checked() -> Iterator[None]:
+    """Raise a ConfigError where ROS refuses a parameter given when a node starts."""
+    try:
+        yield
+    except InvalidParameterTypeException as error:
+        found = _WRONG_TYPE.search(str(error))
+        if found is None:
+            raise ConfigError(f'ROS rejects a parameter: {error}') from error
+        kind = _KINDS.get(found['kind'], found['kind'])
+        raise ConfigError(
+            f'parameter {found["name"]} must be {kind}, got {found["value"]}; correct it on the'
+            ' command line or in the parameter file'
+        ) from error
+    except ParameterException as error:
+        raise ConfigError(f'ROS rejects a parameter: {error}') from error
+
+
 def run_node(
     make_node: Callable[[], Node], args: Sequence[str] | None = None, *, threads: int = 1
 ) -> int:
@@ -101,10 +132,11 @@ def run_node(
         if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
             raise_signals()
         init_ros(sys.argv if args is None else args)
-        node = make_node()
+        with parameters_checked():
+            node = make_node()
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
         rclpy.spin(node, executor)
-    except (BinocularReconError, ParameterException) as error:
+    except BinocularReconError as error:
         get_logger('binocular_recon').fatal(str(error))
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -97,8 +97,8 @@ def _no_names(content: dict[str, Any]) -> None:
         (_without_a_row, 'rows and columns'),
         (_other_camera, r'the left camera is not that of left\.yaml'),
         (_other_lens, r'the right camera is not that of right\.yaml'),
-        (_text, 'is not a calibration'),
-        (_no_names, "'parameters'"),
+        (_text, "covariance must hold finite numbers, got 'many'"),
+        (_no_names, 'parameters must be a list of names'),
     ],
 )
 def test_a_covariance_that_does_not_fit_is_refused(
@@ -118,7 +118,7 @@ def test_a_covariance_that_does_not_fit_is_refused(
 def test_a_damaged_calibration_json_is_refused(tmp_path: Path, text: str) -> None:
     save_calibration(solved(0.005), tmp_path)
     (tmp_path / 'calibration.json').write_text(text)
-    with pytest.raises(CalibrationError, match=r'is not a calibration: .*delete it to go on'):
+    with pytest.raises(FileError, match=r'is not valid JSON: .*delete it to go on'):
         read_rig(tmp_path)
 
 

@@ -52,9 +52,18 @@ def test_rows_that_are_no_numbers_are_named_and_left_out(tmp_path: Path) -> None
         (HEAD, 'holds no points'),
         (HEAD + 'a,middle,0,0,0,1,1\n', "line 2: side must be left or right, got 'middle'"),
         (HEAD + 'a,left,0,0,0,x,1\n', 'holds no points; .*line 2: .* must be numbers'),
-        (HEAD + 'a,left,0,0,0,1,1\nb,left,0,0.5,0,1,1\n', 'line 3: point 0 lies at'),
+        (HEAD + 'a,left,0,0,0,1,1\nb,left,0,0.5,0,1,1\n', "line 3: point '0' lies at"),
         (HEAD + 'a,left,0,0,0,1,1\na,left,0,0,0,2,1\n', 'appears twice in the left image of a'),
         (HEAD + 'a,left,0,0,0,1e9,1\n', 'must be in pixels'),
+        (HEAD + 'a,left,0,0,0,-3,1\n', 'line 2: u_px and v_px must be in the image, got -3 and 1'),
+        (HEAD + 'a,left,0,1e300,0,3,1\n', 'line 2: X_m and Y_m must be within 100 m, got 1e'),
+        (HEAD + 'a,left,0,0,0,1,1,9\n', 'holds no points; .*line 2: there are more values'),
+        (HEAD + ',left,0,0,0,1,1\n', 'holds no points; .*line 2: name or id is missing'),
+        ('id,' + HEAD, 'has several columns id; its first line'),
+        (
+            HEAD + ''.join(f'{i},left,{i},0,0,1,1\n' for i in range(1500)),
+            '1500 boards of a target with 1500 points are more than 2000000 marks',
+        ),
     ],
 )
 def test_wrong_tables_are_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -217,10 +217,10 @@ def test_scene_folders_are_found(scenes: Path, tmp_path: Path) -> None:
     ('facts', 'message'),
     [
         ({'source': 'x'}, r'park/scene\.yaml lacks max_disparity_px'),
-        ({'max_disparity_px': 'many'}, r"max_disparity_px must be a number, got 'many'"),
+        ({'max_disparity_px': 'many'}, r"max_disparity_px must be a finite number, got 'many'"),
         ({'max_disparity_px': 0}, 'max_disparity_px must be positive, got 0'),
         ({**METRIC, 'baseline_m': -0.5}, r'baseline_m must be positive, got -0\.5'),
-        ({**METRIC, 'focal_px': float('nan')}, 'focal_px must be a number, got nan'),
+        ({**METRIC, 'focal_px': float('nan')}, 'focal_px must be a finite number, got nan'),
     ],
 )
 def test_bad_facts_are_named(scenes: Path, facts: dict[str, object], message: str) -> None:
@@ -231,7 +231,7 @@ def test_bad_facts_are_named(scenes: Path, facts: dict[str, object], message: st
 
 def test_damaged_and_missing_files_are_named(scenes: Path) -> None:
     (scenes / 'park' / 'scene.yaml').write_text('a: [', encoding='utf-8')
-    with pytest.raises(FileError, match=r'scene\.yaml cannot be read as YAML'):
+    with pytest.raises(FileError, match=r'scene\.yaml is not valid YAML'):
         read_scene(scenes / 'park')
     (scenes / 'park' / 'scene.yaml').unlink()
     with pytest.raises(FileError, match=r'scene\.yaml is missing'):

@@ -80,10 +80,16 @@ def test_every_digit_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('old', 'new', 'message'),
     [
-        ('image_width: 640', '', r"left\.yaml is not a camera file .*KeyError\('image_width'\)"),
+        ('image_width: 640', '', r'left\.yaml is not a camera file .*: it lacks image_width;'),
         ('[393.653800', '[what', r'left\.yaml is not a camera file .*what'),
         ('data: [438.783367, 0.000000,', 'data: [438.783367,', 'K must have 9 values, got 8'),
         ('plumb_bob', 'fov', "distortion model 'fov' is not one of plumb_bob"),
+        (
+            'image_width: 640',
+            'image_width: 640.5',
+            'image_width must be a whole number, got 640.5',
+        ),
+        ('cols: 4\n  data', 'cols: 4\n  date', 'it lacks data of projection_matrix'),
         ('  data: [438', '  data: [[[438', 'not a camera file: while parsing'),
         (FILE, '[1, 2]', 'not a camera file as camera_calibration_parsers writes it'),
     ],

@@ -151,7 +151,11 @@ def test_not_a_number_is_no_disparity() -> None:
         ('f', 900.0, CalibrationError, 'made with f = 900, the camera infos say 994'),
         ('t', 0.1, CalibrationError, r'made with t = 0\.1, the camera infos say 0\.193'),
         ('max_disparity', 0.0, ImageError, r'limits 0\.\.0 px; the sender must fill'),
-        ('max_disparity', np.nan, ImageError, r'limits 0\.\.nan px'),
+        ('max_disparity', np.nan, ImageError, 'disparity has max_disparity = nan; the sender'),
+        ('min_disparity', -np.inf, ImageError, 'disparity has min_disparity = -inf; the sender'),
+        ('delta_d', np.inf, ImageError, 'disparity has delta_d = inf; the sender must fill it'),
+        ('f', np.nan, ImageError, 'disparity has f = nan; the sender must fill it with a finite'),
+        ('t', np.inf, ImageError, 'disparity has t = inf; the sender must fill it with a finite'),
     ],
 )
 def test_bad_message(member: str, value: float, error: type[Exception], text: str) -> None:

@@ -174,9 +174,14 @@ def test_the_remedy_for_a_constant_is_a_parameter() -> None:
             {'disparity': 4.0, 'sets': 4.0},
             '',
             'ERROR',
-            'no messages on disparity for 4.0 s; check',
+            'no messages on disparity for 4.0 s; /rig/match_node publishes them but sends nothing',
         ),
-        ({'left': 4.0, 'disparity': 4.0}, '', 'STALE', 'no messages on left, disparity; start'),
+        (
+            {'left': 4.0, 'disparity': 4.0},
+            '',
+            'STALE',
+            'no messages on left, disparity; /rig/match_node publishes them but sends nothing',
+        ),
         # an image that has a publisher may be lost on its way
         ({'left': 4.0}, '', 'ERROR', '; if images are sent on left, all are lost: start the pro'),
         ({'sets': 4.0}, 'arrive too late', 'ERROR', 'arrive too late'),
@@ -197,9 +202,31 @@ def test_what_prevents_frames(
     }
     node._optional = {'confidence': '/rig/confidence'}
     node.count_publishers = lambda _: 1
-    node.health = Mock(silent=lambda: ages_s, loss=lambda: '')
+    node.health = Mock(silent=lambda: ages_s, loss=lambda: '', pausing=lambda _: {})
+    publisher = SimpleNamespace(node_namespace='/rig', node_name='match_node')
+    node.get_publishers_info_by_topic = lambda _: [publisher]
     node._explain_lateness = lambda: too_late
     node._synchronizer = Synchronizer(['left'], queue_size=5)
     reported = FrameNode.condition(node)
     assert reported[0] == getattr(DiagnosticStatus, level) and text in reported[1]
     assert node.health.log.called == (level != 'OK')
+
+
+@pytest.mark.parametrize(
+    ('publishers', 'text'),
+    [
+        ([], 'nobody publishes them: start the cameras or check the remappings'),
+        ([('/', 'camera')], '/camera publishes them but sends nothing: its log and its status'),
+        ([('/', '_NODE_NAME_UNKNOWN_')], 'their publisher publishes them but sends nothing'),
+    ],
+)
+def test_who_is_silent(publishers: list[tuple[str, str]], text: str) -> None:
+    from binocular_recon.nodes.runtime.frame_node import FrameNode
+
+    infos = [SimpleNamespace(node_namespace=space, node_name=name) for space, name in publishers]
+    node: Any = SimpleNamespace(
+        get_publishers_info_by_topic=lambda _: infos,
+        _inputs={'left': Mock(transported=False)},
+        _subscriptions_in_use=[Mock()],
+    )
+    assert FrameNode._who_is_silent(node, ['left']).startswith(text)

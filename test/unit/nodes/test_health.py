@@ -135,3 +135,29 @@ def test_a_loss_in_transport_is_counted_explained_and_forgotten(
     assert len(log.warnings) <= 3, 'throttled'
     clock.now += 11
     assert health.loss() == ''
+
+
+def test_messages_that_stop_are_noticed_before_they_count_as_silent(
+    health: Any, clock: Clock
+) -> None:
+    health.expect(['left', 'right', 'sets'])
+    for _ in range(3):
+        clock.now += 0.1
+        health.received('left')
+        health.received('right')
+        health.received('sets')
+    clock.now += 0.9
+    health.received('right')
+    assert health.pausing(['left', 'right']) == {}
+    clock.now += 0.2
+    assert health.pausing(['left', 'right']) == {'left': pytest.approx(1.1)}
+    assert health.silent() == {}
+
+
+def test_control_characters_reach_neither_log_nor_status(health: Any, log: Log) -> None:
+    health.error('image /a\x1b[2J is damaged')
+    health.state('calibration', 'b\x07')
+    assert log.errors == [r'image /a\x1b[2J is damaged']
+    made = status(health)
+    assert made.message == r'image /a\x1b[2J is damaged'
+    assert not any('\x1b' in value.value or '\x07' in value.value for value in made.values)

@@ -209,3 +209,34 @@ def test_diagnostics_come_once_a_second(node: FakeNode, tmp_path: Path) -> None:
     assert (
         statuses(node)[-1]['published /left/image_raw'] == '40'
     )  # that of the fourth second follows
+
+
+def test_no_code_in_the_current_folder_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bag may name any package, and lie beside one of that name."""
+    from binocular_recon.nodes.player import _message_type
+
+    for package in ('evil_pkg', 'sensor_msgs', 'shape_msgs'):
+        folder = tmp_path / package
+        folder.mkdir()
+        (folder / '__init__.py').write_text(f"open('{tmp_path}/ran', 'w')")
+        (folder / 'msg.py').write_text('class Image: get_fields_and_field_types = None')
+    monkeypatch.chdir(tmp_path)
+    for first in ('', str(tmp_path), '.'):
+        monkeypatch.syspath_prepend(first)
+        assert _message_type('evil_pkg/msg/Image') is None
+        assert _message_type('shape_msgs/msg/Image') is None
+        found = _message_type('sensor_msgs/msg/Image')
+        assert found is not None and found.__module__ == 'sensor_msgs.msg._image'
+    assert not (tmp_path / 'ran').exists()
+
+
+@pytest.mark.parametrize(
+    'name',
+    ['os/msg/path', 'sensor_msgs/msg/Nothing', 'sensor_msgs/Image', '../msg/A', '', 'a/msg/'],
+)
+def test_what_is_no_installed_message_type_is_skipped(name: str) -> None:
+    from binocular_recon.nodes.player import _message_type
+
+    assert _message_type(name) is None

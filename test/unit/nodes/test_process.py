@@ -29,6 +29,37 @@ def test_a_bad_command_line_is_rejected_with_the_reason(words: list[str], reason
         init_ros(['match_node', *words])
 
 
+@pytest.mark.parametrize(
+    ('words', 'reason'),
+    [
+        (
+            ['-p', 'use_sim_time:=1'],
+            'parameter use_sim_time must be true or false, got 1; correct it on the command line',
+        ),
+        (['-p', 'use_sim_time:=[a]'], 'parameter use_sim_time must be true or false, got '),
+        (
+            ['-p', 'start_type_description_service:=yes_'],
+            'parameter start_type_description_service must be true or false, got yes_',
+        ),
+    ],
+)
+@pytest.mark.filterwarnings('ignore::DeprecationWarning')  # of a parser that ROS imports
+def test_a_parameter_of_a_wrong_type_is_refused_with_what_is_allowed(
+    words: list[str], reason: str
+) -> None:
+    import rclpy
+    from rclpy.node import Node
+
+    from binocular_recon.nodes.runtime.process import init_ros, parameters_checked
+
+    init_ros(['match_node', '--ros-args', *words])
+    try:
+        with pytest.raises(ConfigError, match=reason), parameters_checked():
+            Node('a')
+    finally:
+        rclpy.try_shutdown()
+
+
 def test_a_node_ends_with_status_1(capfd: pytest.CaptureFixture[str]) -> None:
     from binocular_recon.nodes.runtime.process import run_node
 

@@ -14,6 +14,7 @@ from binocular_recon.io.calibrations.format import CalibrationFormat
 from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig
 from binocular_recon.io.calibrations.source import SourceFile
 from binocular_recon.io.calibrations.values import numbers, side_of
+from binocular_recon.io.text_files import whole_number
 
 # K, D, R and P
 _MATRICES = (
@@ -22,6 +23,7 @@ _MATRICES = (
     'rectification_matrix',
     'projection_matrix',
 )
+_SIZE = ('image_width', 'image_height')
 
 
 class RosFormat(CalibrationFormat):
@@ -53,15 +55,24 @@ def camera_values(
         If one is missing or has other values than numbers; the message begins with the path.
 
     """
-    try:
-        data = [content[name]['data'] for name in _MATRICES]
-        size = int(content['image_width']), int(content['image_height'])
-        model = str(content.get('distortion_model') or '')
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+    entries = content if isinstance(content, dict) else {}
+    missing = [name for name in (*_MATRICES, *_SIZE) if name not in entries]
+    missing += [
+        f'data of {name}'
+        for name in _MATRICES
+        if name in entries and not (isinstance(entries[name], dict) and 'data' in entries[name])
+    ]
+    if missing:
         raise CalibrationError(
-            f'{path} is not a camera file as camera_calibration_parsers writes it: {error!r};'
-            ' write it again with the calibration'
-        ) from error
+            f'{path} is not a camera file as camera_calibration_parsers writes it: it lacks'
+            f' {", ".join(missing)}; write it again with the calibration'
+        )
+    data = [entries[name]['data'] for name in _MATRICES]
+    width, height = (
+        whole_number(f'{path}: {name}', entries[name], CalibrationError) for name in _SIZE
+    )
+    size = width, height
+    model = str(entries.get('distortion_model') or '')
     K, D, R, P = (
         numbers(values, f'{path} is not a camera file because {name}')
         for name, values in zip(_MATRICES, data, strict=True)
