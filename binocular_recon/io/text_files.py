@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ def check_structure(text: str, *, aliases: bool = False) -> None:
     Who lets ``aliases`` through counts what they stand for.
     """
     depth = 0
-    for count, event in enumerate(yaml.parse(text, _Loader)):
+    for count, event in enumerate(_events(text)):
         if count > _MOST_VALUES:
             raise FileError(f'holds more than {_MOST_VALUES} values, the limit')
         if isinstance(event, yaml.AliasEvent) and not aliases:
@@ -120,6 +121,16 @@ def check_structure(text: str, *, aliases: bool = False) -> None:
             depth -= 1
         if depth > _DEEPEST:
             raise FileError(f'is nested too deeply: {_DEEPEST} levels in line {_line(event)}')
+
+
+def _events(text: str) -> Iterator[yaml.Event]:
+    try:
+        yield from yaml.parse(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        if 'nesting depth' not in str(error):  # libyaml has a limit of its own
+            raise
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise FileError(f'is nested too deeply: {_DEEPEST} levels in line {line}') from error
 
 
 def _line(event: yaml.Event) -> int:
