@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole chain, rectify, match and filter: raw images in, point cloud out.
 
+One node does it all (`stereo_node`), or with ``composed:=false`` one for each step.
+
 Without an argument every option keeps its node's default; see `ros2 launch --show-args`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -34,9 +37,9 @@ from binocular_recon.options import Options, OptionValue, check_option
 
 SHARE = Path(__file__).resolve().parents[1]
 SIDES = ('left', 'right')
-RECTIFIER = 'rectify_node'
-# Options of each node that are launch arguments. Only the first node receives and pairs images of
-# the cameras: what it publishes carries one stamp. In the last one images wait for disparities.
+RECTIFIER, COMPOSED = 'rectify_node', 'stereo_node'
+# Options of each separate node that are launch arguments. Only the first receives and pairs images
+# of the cameras: what it publishes carries one stamp. In the last images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
     RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions, FrameOptions),
     'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig),
@@ -75,6 +78,10 @@ ARGUMENTS = {
     'rectify': (
         'true',
         'Rectify the images; false: they are rectified already, and the camera infos are theirs',
+    ),
+    'composed': (
+        'true',
+        'Run the chain as one node; false: rectify_node, match_node and wls_filter_node apart',
     ),
     'params_file': ('', 'YAML file with parameters of the nodes; launch arguments override it'),
     'use_sim_time': (
@@ -123,9 +130,9 @@ def _start(context: LaunchContext) -> list[Any]:
     given = {name: value for name, value in context.launch_configurations.items() if value}
     switched = {
         name: yaml.safe_load(given.get(name, ARGUMENTS[name][0]))
-        for name in ('use_sim_time', 'rviz', 'rectify')
+        for name in ('use_sim_time', 'rviz', 'rectify', 'composed')
     }
-    options = _options(given, rectify=switched['rectify'])
+    options = _options(given, rectify=switched['rectify'], composed=switched['composed'])
     topics = _topics(given, rectify=switched['rectify'])
     actions: list[Any] = []
     profile = given.get('dds_profile')
@@ -139,13 +146,16 @@ def _start(context: LaunchContext) -> list[Any]:
             spec.name: _value(spec, given[spec.name]) for spec in specs if spec.name in given
         }
         values['use_sim_time'] = switched['use_sim_time']
-        if executable != RECTIFIER and switched['rectify']:
+        files: list[Any] = [given['params_file']] if 'params_file' in given else []
+        if executable == COMPOSED:
+            files = [*(_of_separate(file, namespace) for file in files), *files]
+            values['rectify'] = switched['rectify']
+        elif executable != RECTIFIER and switched['rectify']:
             values['camera_info'] = 'camera_info_rect'
         for topic in RELIABLE.get(executable, []):
             if switched['rectify'] or topic in _MEASURED:
                 name = _absolute(topics.get(topic, topic), namespace)
                 values[f'qos_overrides.{name}.subscription.reliability'] = 'reliable'
-        files = [given['params_file']] if 'params_file' in given else []
         actions.append(
             Node(
                 package='binocular_recon',
@@ -173,22 +183,47 @@ def _start(context: LaunchContext) -> list[Any]:
     return actions
 
 
-def _options(given: dict[str, str], *, rectify: bool) -> dict[str, tuple[type[Options], ...]]:
+def _options(
+    given: dict[str, str], *, rectify: bool, composed: bool
+) -> dict[str, tuple[type[Options], ...]]:
     """Return the options of each node to start; without rectification two receive the cameras."""
+    if not rectify:
+        _refuse_unused(given)
+    if composed:
+        every = dict.fromkeys(itertools.chain.from_iterable(OPTIONS.values()))
+        return {COMPOSED: tuple(group for group in every if group is not QueueOptions)}
     if rectify:
         return OPTIONS
-    own = (*dataclasses.fields(RectifyOptions), *dataclasses.fields(FrameOptions))
-    unused = [spec.name for spec in own if spec.name in given]
-    if unused:
-        raise ConfigError(
-            f'{", ".join(unused)}: options of {RECTIFIER}, which rectify:=false does not start;'
-            ' omit them'
-        )
     return {
         name: (InputOptions, *(group for group in groups if group is not QueueOptions))
         for name, groups in OPTIONS.items()
         if name != RECTIFIER
     }
+
+
+def _refuse_unused(given: dict[str, str]) -> None:
+    """Raise a ConfigError if options of rectification are given, which is switched off."""
+    own = (*dataclasses.fields(RectifyOptions), *dataclasses.fields(FrameOptions))
+    unused = [spec.name for spec in own if spec.name in given]
+    if unused:
+        raise ConfigError(
+            f'{", ".join(unused)}: options of rectification, which rectify:=false switches off;'
+            ' omit them'
+        )
+
+
+def _of_separate(path: str, namespace: str) -> dict[str, Any]:
+    """Return the parameters that a file has for the separate nodes, for the one in their place."""
+    content = yaml.safe_load(Path(path).expanduser().read_text(encoding='utf-8')) or {}
+    received = {spec.name for spec in dataclasses.fields(InputOptions)}
+    values: dict[str, Any] = {}
+    for name in OPTIONS:
+        for key in (name, f'/**/{name}', _absolute(name, namespace)):
+            section = content.get(key)
+            own = section.get('ros__parameters', {}) if isinstance(section, dict) else {}
+            # what the others receive are messages between the nodes
+            values |= {k: v for k, v in own.items() if name == RECTIFIER or k not in received}
+    return values
 
 
 def _topics(given: dict[str, str], *, rectify: bool) -> dict[str, str]:

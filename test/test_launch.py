@@ -20,6 +20,8 @@ from test.launch_tools import CHAIN, REPLAY, Node, SetEnvironmentVariable, launc
 
 CALIBRATION = REPOSITORY / 'launch' / 'calibration.launch.py'
 pytestmark = pytest.mark.ros
+SIDES = ('left', 'right')
+SEPARATE = ('rectify_node', 'match_node', 'wls_filter_node')
 
 
 @pytest.fixture(autouse=True)
@@ -29,13 +31,10 @@ def _no_profile(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def nodes() -> dict[str, Any]:
-    """Return the classes of the nodes of the chain by name, in its order."""
+    """Return the classes of the nodes of the chain by name, those apart in its order."""
     from binocular_recon.nodes.registry import node_class
 
-    return {name: node_class(name) for name in ('rectify_node', 'match_node', 'wls_filter_node')}
-
-
-SIDES = ('left', 'right')
+    return {name: node_class(name) for name in (*SEPARATE, 'stereo_node')}
 
 
 def options(node: Any) -> dict[str, Any]:
@@ -48,8 +47,8 @@ def test_every_argument_is_described_and_is_an_option_of_a_node() -> None:
     own |= {f'{side}_{kind}' for side in SIDES for kind in ('namespace', 'image', 'camera_info')}
     arguments, _ = launched(CHAIN)
     declared = {name for node in nodes().values() for name in options(node)}
-    # the launch file sets `camera_info` itself, by whether it rectifies
-    assert set(arguments) - own - {'rectify'} == declared - {'camera_info'}
+    # the launch file sets these itself, by whether it rectifies
+    assert set(arguments) - own - {'rectify', 'composed'} == declared - {'camera_info', 'rectify'}
     assert all(len(argument.description) > 15 for argument in arguments.values())
     arguments, _ = launched(REPLAY, bag='some.bag')
     assert set(arguments) == {'bag', 'rate', 'loop', 'clock'}
@@ -82,8 +81,8 @@ def check_wiring(node: Any, offered: set[str]) -> set[str]:
 
 @pytest.mark.parametrize('namespace', ['', 'rig', '/robot/rig/'])
 def test_nodes_are_wired_to_each_other(namespace: str) -> None:
-    started = launched_nodes(namespace=namespace)
-    assert [node.executable for node in started] == list(nodes())
+    started = launched_nodes(namespace=namespace, composed='false')
+    assert tuple(node.executable for node in started) == SEPARATE
     offered: set[str] = set()
     for node in started:
         known = set(offered)
@@ -100,7 +99,7 @@ def test_cameras_with_other_topics() -> None:
         'right_namespace': '/cams/right/',
         'right_camera_info': '/cam1/info',
     }
-    rectify, match, wls = launched_nodes(namespace='rig', **given)
+    rectify, match, wls = launched_nodes(namespace='rig', composed='false', **given)
     offered: set[str] = set()
     assert check_wiring(rectify, offered) == {
         *('/cam0/image', '/rig/cam0/info', '/cams/right/image_raw', '/cam1/info'),
@@ -114,7 +113,9 @@ def test_cameras_with_other_topics() -> None:
 def test_rectified_cameras_need_no_rectifier() -> None:
     """Two nodes take the cameras, so both get the options of the input."""
     given = {'left_image': 'left/image_rect_color', 'image_transport': 'compressed'}
-    match, wls = launched_nodes(rectify='false', approximate_sync='true', queue_size='9', **given)
+    match, wls = launched_nodes(
+        rectify='false', composed='false', approximate_sync='true', queue_size='9', **given
+    )
     offered: set[str] = set()
     cameras = {'/left/image_rect_color', '/left/camera_info', '/right/camera_info'}
     assert check_wiring(match, offered) == cameras | {'/right/image_rect'}
@@ -125,7 +126,7 @@ def test_rectified_cameras_need_no_rectifier() -> None:
         values = node.parameters[-1]
         assert (values['approximate_sync'], values['queue_size']) == (True, 9)
         assert values['image_transport'] == 'compressed'
-    with pytest.raises(ConfigError, match=r'^alpha: options of rectify_node, which rectify:=fal'):
+    with pytest.raises(ConfigError, match=r'^alpha: options of rectification, which rectify:=fa'):
         launched(CHAIN, rectify='false', alpha='0')
 
 
@@ -142,7 +143,7 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
         'use_sim_time': 'true',
         'params_file': 'mine.yaml',
     }
-    _, actions = launched(CHAIN, **given)
+    _, actions = launched(CHAIN, composed='false', **given)
     found = {
         action.executable: {
             name: value for name, value in action.parameters[1].items() if 'qos' not in name
@@ -179,10 +180,42 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
     )
 
 
-def test_every_argument_reaches_its_node_with_the_type_of_its_option() -> None:
+def test_one_node_takes_the_place_of_those_that_are_apart(tmp_path: Path) -> None:
+    """It gets the arguments and the parameters of all; a section of its own comes last."""
+    file = tmp_path / 'rig.yaml'
+    sections = {
+        '/**/rectify_node': {'alpha': 0.0, 'queue_size': 9},
+        'match_node': {'disparity_range': 96, 'queue_size': 12},
+        '/rig/wls_filter_node': {'queue_size': 60, 'max_depth': 40.0},
+        '/other/wls_filter_node': {'min_depth': 7.0},
+        '/**/stereo_node': {'min_depth': 5.0},
+    }
+    text = yaml.safe_dump({key: {'ros__parameters': one} for key, one in sections.items()})
+    file.write_text(text)
+    given = {'left_image': '/cam0/image', 'preset': 'paper', 'params_file': str(file)}
+    (node,) = launched_nodes(namespace='rig', **given)
+    assert node.executable == 'stereo_node' and dict(node.remappings) == {
+        'left/image_raw': '/cam0/image'
+    }
+    of_others, whole, values = node.parameters
+    assert of_others == {
+        'alpha': 0.0,
+        'queue_size': 9,
+        'disparity_range': 96,
+        'max_depth': 40.0,
+    }
+    assert whole == str(file)
+    assert values == {'preset': 'paper', 'use_sim_time': False, 'rectify': True}
+    (node,) = launched_nodes(rectify='false', left_image='/cam0/rectified')
+    assert dict(node.remappings) == {'left/image_rect': '/cam0/rectified'}
+    assert node.parameters[-1]['rectify'] is False
+
+
+@pytest.mark.parametrize('composed', ['true', 'false'])
+def test_every_argument_reaches_its_node_with_the_type_of_its_option(composed: str) -> None:
     specs = {name: spec for node in nodes().values() for name, spec in options(node).items()}
     for name, spec in specs.items():
-        if name == 'camera_info':
+        if name in ('camera_info', 'rectify'):
             continue  # set by the launch file
         default = spec.default
         texts: list[tuple[str, Any]] = [(str(default), default)] if default != '' else []
@@ -193,7 +226,7 @@ def test_every_argument_reaches_its_node_with_the_type_of_its_option() -> None:
         for text, value in texts:
             found = [
                 action.parameters[-1][name]
-                for action in launched(CHAIN, **{name: text})[1]
+                for action in launched(CHAIN, **{name: text}, composed=composed)[1]
                 if isinstance(action, Node) and name in action.parameters[-1]
             ]
             assert found and all(type(x) is type(default) and x == value for x in found), name
@@ -220,7 +253,7 @@ def test_values_that_an_option_does_not_accept_are_rejected(
 def test_empty_arguments_count_as_not_given() -> None:
     arguments, _ = launched(CHAIN)
     _, actions = launched(CHAIN, **dict.fromkeys(arguments, ''))
-    assert [action.executable for action in actions] == list(nodes())
+    assert [action.executable for action in actions] == ['stereo_node']
     assert all(action.parameters[0]['use_sim_time'] is False for action in actions)
     assert launched(CHAIN, rviz='true', rviz_frame='')[1][-1].arguments[-1] == (
         arguments['rviz_frame'].default_value

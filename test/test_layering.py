@@ -71,7 +71,7 @@ ROOMS = [
     {'evaluation.paper'},
     {'apps'},
     {'nodes.runtime'},
-    {'nodes.calibration'},
+    {'nodes.calibration', 'nodes.stages'},
     {'nodes'},
     {'cli', '__main__'},
 ]

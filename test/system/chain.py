@@ -48,9 +48,11 @@ def start_chain(
 ) -> list[NodeProcess]:
     """Start what the launch file starts with these arguments, reliable from the cameras on.
 
+    The nodes are separate ones unless the arguments compose them.
     ``outer`` are remappings around the launch file: to each node they come before its own.
     """
     nodes = []
+    arguments = {'composed': 'false'} | arguments
     for node in launched_nodes(namespace='rig', **arguments):
         remaps = {**dict(node.remappings), **(outer or {})}
         cameras = [remaps.get(topic, topic) for topic in CAMERAS]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three nodes over DDS give what the offline chain gives, at every pixel."""
+"""The nodes over DDS, three or one, give what the offline chain gives, at every pixel."""
 
 from __future__ import annotations
 
@@ -78,10 +78,20 @@ def camera_message(bgr: np.ndarray, encoding: str, index: int, side: str) -> Ima
 Frame = tuple[dict[str, Any], Reconstruction, Chain]
 
 
+@pytest.fixture(scope='module', params=['false', 'true'], ids=['apart', 'composed'])
+def nodes(start_node: StartNode, request: Any) -> Iterator[str]:
+    """Start the chain, as separate nodes and as one, and return the name of the filter's node."""
+    arguments = {name: str(value) for name, value in RANGE.items()}
+    started = start_chain(start_node, **arguments, composed=request.param)
+    assert len(started) == (1 if request.param == 'true' else 3)
+    yield '/rig/stereo_node' if request.param == 'true' else '/rig/wls_filter_node'
+    for node in started:  # the next ones are to be alone
+        assert node.stop() == 0
+
+
 @pytest.fixture(scope='module')
-def frames(graph: Graph, start_node: StartNode) -> Iterator[list[Frame]]:
+def frames(graph: Graph, nodes: str) -> Iterator[list[Frame]]:  # noqa: ARG001 - they run meanwhile
     """Send all frames and return, of each, the messages and what the offline chain makes."""
-    start_chain(start_node, **{name: str(value) for name, value in RANGE.items()})
     cameras = CameraPair(graph, raw_rig())
     topics = [(f'/rig/{topic}', kind) for topic, kind in OUTPUTS.items()]
     done = []
@@ -224,9 +234,9 @@ def test_frames_come_once(frames: list[Frame]) -> None:
 
 
 @pytest.mark.usefixtures('frames')
-def test_status_states_the_accuracy_of_the_solution(graph: Graph) -> None:
+def test_status_states_the_accuracy_of_the_solution(graph: Graph, nodes: str) -> None:
     def solution() -> dict[str, str]:
-        status = graph.status('/rig/wls_filter_node')
+        status = graph.status(nodes)
         values = {pair.key: pair.value for pair in status.values} if status else {}
         return {key: values[key] for key in ('iterations', 'estimated error') if key in values}
 
@@ -240,14 +250,14 @@ def test_status_states_the_accuracy_of_the_solution(graph: Graph) -> None:
 
 
 @pytest.mark.usefixtures('frames')
-def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
+def test_cloud_options_change_while_the_node_runs(graph: Graph, nodes: str) -> None:
     cameras = CameraPair(graph, raw_rig())
     limits = {'min_depth': 2.5, 'max_depth': 4.0}
     layouts = {(True, True): (20, 'x y z rgb sigma_z'), (False, False): (16, 'x y z sigma_z')}
     with graph.listening(('/rig/points2', PointCloud2)) as (inbox,):
         for count, ((colour, tight), (step, names)) in enumerate(layouts.items(), 1):
             options = {'use_color': colour, 'avoid_point_cloud_padding': tight, **limits}
-            assert graph.set_parameters('/rig/wls_filter_node', **options) == ''
+            assert graph.set_parameters(nodes, **options) == ''
             cameras.send(len(FRAMES) + count, image_pair(1))
             message = inbox.wait(count)[-1]
             assert [field.name for field in message.fields] == names.split()
@@ -258,7 +268,7 @@ def test_cloud_options_change_while_the_node_runs(graph: Graph) -> None:
 
 
 @pytest.mark.usefixtures('frames')
-def test_thinned_clouds(graph: Graph) -> None:
+def test_thinned_clouds(graph: Graph, nodes: str) -> None:
     """Those of the whole cloud; the depth image keeps its size."""
     cameras = CameraPair(graph, raw_rig())
     pair = image_pair(1)
@@ -270,7 +280,7 @@ def test_thinned_clouds(graph: Graph) -> None:
         found = []
         for count, (decimation, voxel_size) in enumerate(((1, 0.0), (3, 0.0), (2, 0.1)), 1):
             options = {'decimation': decimation, 'voxel_size': voxel_size}
-            assert graph.set_parameters('/rig/wls_filter_node', **options, **limits) == ''
+            assert graph.set_parameters(nodes, **options, **limits) == ''
             cameras.send(len(FRAMES) + 10 + count, pair)
             message, depth = clouds.wait(count)[-1], depths.wait(count)[-1]
             assert (depth.height, depth.width) == validity.shape

@@ -79,12 +79,15 @@ class BaseNode(Node):
         if cache_problem():
             self.get_logger().warning(cache_problem())
 
-    def start(self) -> None:
-        """Create the publishers and report on /diagnostics from now on."""
+    def start(self, *, outputs: Sequence[Output] | None = None) -> None:
+        """Create the publishers and report on /diagnostics from now on.
+
+        ``outputs`` replaces `OUTPUTS`.
+        """
         self._diagnostics = DiagnosticsPublisher(self, self.health, self.SUBJECT)
         created = {
             output.topic: create_output(self, output, self.health, self.update_subscriptions)
-            for output in self.OUTPUTS
+            for output in outputs or self.OUTPUTS
         }
         self._outputs = {topic: publisher for topic, (publisher, _) in created.items()}
         steady = Clock(clock_type=ClockType.STEADY_TIME)

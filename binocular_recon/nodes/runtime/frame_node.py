@@ -17,7 +17,7 @@ from binocular_recon.inputs.clocks import Mismatch
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.base_node import BaseNode
-from binocular_recon.nodes.runtime.endpoints import Input, create_input
+from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
 from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions
 from binocular_recon.options import Options
@@ -44,8 +44,10 @@ class FrameNode(BaseNode):
         self._processed = self._superseded = 0
         self._worker = self.start_worker(self._process_frame)
 
-    def start(self, inputs: Sequence[Input] | None = None) -> None:
-        """Create publishers and subscriptions; ``inputs`` replaces `INPUTS`."""
+    def start(
+        self, inputs: Sequence[Input] | None = None, *, outputs: Sequence[Output] | None = None
+    ) -> None:
+        """Create publishers and subscriptions; arguments replace `INPUTS` and `OUTPUTS`."""
         options = self.options.of(InputOptions)
         self._inputs = {one.topic: one for one in inputs or self.INPUTS}
         self._optional = {
@@ -69,7 +71,7 @@ class FrameNode(BaseNode):
         # that who sees those sees no subscription that is about to go.
         self._subscriptions_in_use = self._subscribe()
         self._unsubscribe()
-        super().start()
+        super().start(outputs=outputs)
         self.update_subscriptions()
 
     def process(self, *messages: Any) -> None:

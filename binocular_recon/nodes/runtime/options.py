@@ -78,6 +78,17 @@ class RectifiedInfoOptions(Options):
 
 
 @dataclass(frozen=True)
+class RectifiedImageOptions(Options):
+    """Whether the cameras' images are to be rectified."""
+
+    rectify: bool = option(
+        True,
+        'Rectify the images; false: take rectified ones from left/image_rect and'
+        ' right/image_rect, with their infos on left/camera_info and right/camera_info',
+    )
+
+
+@dataclass(frozen=True)
 class PresetOptions(Options):
     """Which preset sets the options that are not set explicitly."""
 

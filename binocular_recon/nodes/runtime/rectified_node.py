@@ -11,7 +11,7 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.nodes.runtime.endpoints import Input
+from binocular_recon.nodes.runtime.endpoints import Input, Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import INFO_TOPICS, InputOptions, RectifiedInfoOptions
 from binocular_recon.options import Options
@@ -29,7 +29,9 @@ class RectifiedNode(FrameNode):
 
     FIXED: ClassVar[Sequence[type[Options]]] = (InputOptions, RectifiedInfoOptions)
 
-    def start(self, inputs: Sequence[Input] | None = None) -> None:
+    def start(
+        self, inputs: Sequence[Input] | None = None, *, outputs: Sequence[Output] | None = None
+    ) -> None:
         """Create publishers and subscriptions, with the camera infos that are chosen."""
         chosen = self.options.of(RectifiedInfoOptions).camera_info
         self._info_topic = f'left/{chosen}'
@@ -39,7 +41,8 @@ class RectifiedNode(FrameNode):
                 if one.type is CameraInfo
                 else one
                 for one in inputs or self.INPUTS
-            ]
+            ],
+            outputs=outputs,
         )
 
     def rectified_rig(self, left_info: Any, right_info: Any, image: Any) -> StereoRig:
