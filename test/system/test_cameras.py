@@ -7,6 +7,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+import pytest
 from sensor_msgs.msg import CameraInfo, Image
 
 from binocular_recon.camera import StereoRig
@@ -79,11 +80,15 @@ def test_remappings_around_the_launch_file_reach_the_rectifier_only(
         assert node.stop() == 0
 
 
-def test_rectified_images_go_to_the_matcher_directly(graph: Graph, start_node: StartNode) -> None:
+@pytest.mark.parametrize(('composed', 'count'), [('false', 2), ('true', 1)])
+def test_rectified_images_go_to_the_matcher_directly(
+    graph: Graph, start_node: StartNode, composed: str, count: int
+) -> None:
     rectify = Rectifier(raw_rig())
     images, rig = rectify(*IMAGES), rectify.rig
     given = {'left_image': 'left/image_rect_color', 'right_camera_info': '/cam1/info'}
-    assert len(start_chain(start_node, rectify='false', **given, **RANGE)) == 2
+    started = start_chain(start_node, rectify='false', composed=composed, **given, **RANGE)
+    assert len(started) == count
     topics = {
         'left_image': '/rig/left/image_rect_color',
         'left_camera_info': '/rig/left/camera_info',
@@ -91,3 +96,5 @@ def test_rectified_images_go_to_the_matcher_directly(graph: Graph, start_node: S
         'right_camera_info': '/cam1/info',
     }
     check_depth(depth(graph, rig, images, topics), Chain(rig, CONFIG, rectify=False), images)
+    for node in started:  # the next ones are to be alone
+        assert node.stop() == 0
