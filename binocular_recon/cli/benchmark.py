@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``benchmark``: speed and memory of each stage and of the chain, against their peers."""
+"""``benchmark``: speed and memory of stages and chain against their peers, and of nodes."""
 
 from __future__ import annotations
 
 import argparse
+import functools
+import importlib.util
+import itertools
 from collections.abc import Sequence
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import add_comparison_options, ximgproc_note
+from binocular_recon.cli.options import NO_ROS, add_comparison_options, positive, ximgproc_note
+from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.speed.benchmark import (
     SIZES,
@@ -17,6 +21,13 @@ from binocular_recon.evaluation.speed.benchmark import (
     growth,
     step_count,
 )
+from binocular_recon.evaluation.speed.live import (
+    OFFLINE,
+    OUTPUTS,
+    LiveOptions,
+    LiveResult,
+    measure,
+)
 from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.evaluation.tables import markdown_table, to_plain
 from binocular_recon.io.files import make_folder, write_json
@@ -25,6 +36,8 @@ from binocular_recon.number_text import fixed
 
 NO_XIMGPROC = ximgproc_note('its WLS filter and the chain with it are missing', 'benchmark')
 _MIN_SIDE_PX = 64
+# Drops that are rarer are not worth a line.
+_LEAST_DROPS_HZ = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,10 +51,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='WxHxD',
         help=f'image sizes: width x height x disparities ({" ".join(map(str, SIZES))})',
     )
+    live = parser.add_argument_group('running nodes')
+    live.add_argument(
+        '--live',
+        action='store_true',
+        help='measure running nodes instead, composed and separate, by turns with the chain alone',
+    )
+    live.add_argument(
+        '--rate',
+        type=positive(float),
+        default=LiveOptions.rate_hz,
+        metavar='HZ',
+        help='pairs a second that the cameras produce (%(default)g)',
+    )
+    live.add_argument(
+        '--seconds',
+        type=positive(float),
+        default=LiveOptions.seconds,
+        metavar='S',
+        help='length of a measurement (%(default)g); there are --repeat of each',
+    )
+    live.add_argument(
+        '--listen',
+        nargs='+',
+        choices=list(OUTPUTS),
+        default=[],
+        metavar='TOPIC',
+        help=f'outputs to subscribe to besides points2 (of {", ".join(OUTPUTS)})',
+    )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Measure, print the tables and write ``benchmark.json``.
+    """Measure, print the tables and write ``benchmark.json``, with ``--live`` ``live.json``.
 
     Raises
     ------
@@ -51,6 +92,9 @@ def run(args: argparse.Namespace) -> None:
     """
     make_folder(args.output)
     sizes = sorted(args.sizes, key=lambda size: size.scores)
+    if args.live:
+        _run_live(args, sizes)
+        return
     with ProgressBar(step_count(sizes, args.presets), 'steps') as bar:
         results = benchmark(sizes, args.presets, args.repeat, bar.show)
     tables = [*_stage_tables(results, sizes), *_other_tables(results, sizes)]
@@ -58,6 +102,49 @@ def run(args: argparse.Namespace) -> None:
     print('\n\n'.join([*tables, *notes]))
     facts = {'machine': machine_facts(), 'repeat': args.repeat, 'presets': args.presets}
     write_json(args.output / 'benchmark.json', to_plain({**facts, 'results': results}))
+
+
+def _run_live(args: argparse.Namespace, sizes: Sequence[Size]) -> None:
+    if importlib.util.find_spec('rclpy') is None:
+        raise BinocularReconError(NO_ROS)
+    results = []
+    count = len(sizes) * len(args.presets)
+    with ProgressBar(count, 'sizes') as bar:
+        for number, (preset, size) in enumerate(itertools.product(args.presets, sizes)):
+            options = LiveOptions(
+                preset=preset,
+                rate_hz=args.rate,
+                seconds=args.seconds,
+                rounds=args.repeat,
+                outputs=list(dict.fromkeys(['points2', *args.listen])),
+            )
+            results += measure(size, options, functools.partial(bar.show, number))
+    print('\n\n'.join(_live_tables(results)))
+    facts = {'machine': machine_facts(), 'rate_hz': args.rate, 'seconds': args.seconds}
+    write_json(args.output / 'live.json', to_plain({**facts, 'results': results}))
+
+
+def _live_tables(results: Sequence[LiveResult]) -> list[str]:
+    header = ['', 'clouds/s', 'relative', 'latency s', '95 % s', 'CPU s/cloud', 'memory MB']
+    tables = []
+    for title in dict.fromkeys((one.preset, one.size) for one in results):
+        rows, drops = [], []
+        for one in (one for one in results if (one.preset, one.size) == title):
+            values = [fixed(one.clouds_per_s, 2), fixed(one.relative, 2)]
+            if one.name == OFFLINE:
+                values += ['', '', fixed(one.cpu_s_per_cloud, 3), '']
+            else:
+                values += [fixed(one.latency_s, 3), fixed(one.latency_95_s, 3)]
+                values += [fixed(one.cpu_s_per_cloud, 3), fixed(one.memory_mb, 0)]
+            rows.append([one.name, *values])
+            drops += [
+                f'- {one.name}, {reason}: {fixed(rate)} per second'
+                for reason, rate in one.dropped.items()
+                if rate >= _LEAST_DROPS_HZ
+            ]
+        tables.append(markdown_table([f'{title[0]}, {title[1]}', *header[1:]], rows))
+        tables += ['\n'.join(['Dropped:', *drops])] if drops else []
+    return tables
 
 
 def _stage_tables(results: Results, sizes: Sequence[Size]) -> list[str]:

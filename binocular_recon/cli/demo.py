@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from binocular_recon.cli.options import add_chain_options, add_output_option, chain_config, note
-from binocular_recon.errors import FileError
+from binocular_recon.io.shared_files import shared_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> None:
     from binocular_recon.apps.bag_input import BagInput
     from binocular_recon.apps.bag_reconstruction import reconstruct_bag
 
-    bags = _bags()
+    bags = shared_file('bags/motorcycle').parent
     source = BagInput(bag=bags / 'motorcycle')
     config = chain_config(args)
     print('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
@@ -66,16 +66,4 @@ def _accuracy(output: Path, truth: Path) -> str:
     return (
         f'against the ground truth of {found.pixels} pixels, half-occluded ones included:'
         f' {shares}, mean error {found.mean_error_px:.2f} px'
-    )
-
-
-def _bags() -> Path:
-    """Return the folder of the bags, in the repository or as installed."""
-    for above in Path(__file__).resolve().parents:
-        for bags in (above / 'bags', above / 'share' / 'binocular_recon' / 'bags'):
-            if (bags / 'motorcycle' / 'metadata.yaml').exists():
-                return bags
-    raise FileError(
-        'the bag of the demo, bags/motorcycle, is not installed; run the demo in the repository or'
-        ' reconstruct a bag of your own'
     )

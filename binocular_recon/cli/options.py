@@ -17,6 +17,11 @@ from binocular_recon.options import Options, OptionValue, check_option
 
 # Options whose 0 has a name: found from the images.
 FOUND = ('min_disparity', 'disparity_range')
+# What commands say that need it.
+NO_ROS = (
+    'ROS 2 is not installed for this Python: rclpy is missing; source the setup file of an'
+    ' installation or install the ROS wheels (make setup)'
+)
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:

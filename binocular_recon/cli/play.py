@@ -7,7 +7,7 @@ import argparse
 import importlib.util
 import sys
 
-from binocular_recon.cli.options import add_bag_argument, positive
+from binocular_recon.cli.options import NO_ROS, add_bag_argument, positive
 from binocular_recon.errors import BinocularReconError
 
 
@@ -54,10 +54,7 @@ def run(args: argparse.Namespace) -> None:
 
     """
     if importlib.util.find_spec('rclpy') is None:
-        raise BinocularReconError(
-            'ROS 2 is not installed for this Python: rclpy is missing; source the setup file of'
-            ' an installation or install the ROS wheels (make setup)'
-        )
+        raise BinocularReconError(NO_ROS)
     from binocular_recon.nodes.play_bag import play
 
     play(

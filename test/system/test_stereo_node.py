@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+
 import pytest
 from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage

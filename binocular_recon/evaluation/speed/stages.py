@@ -97,7 +97,7 @@ class Bench:
     def recorded(self) -> tuple[Image, Image]:
         """The images as the cameras of the rig would record them."""
         pair, rig = self.pair, self.rig
-        return _distorted(pair.left, rig.left), _distorted(pair.right, rig.right)
+        return recorded_image(pair.left, rig.left), recorded_image(pair.right, rig.right)
 
     @cached_property
     def rig(self) -> StereoRig:
@@ -243,7 +243,7 @@ def _opencv_chain(bench: Bench) -> Callable[[], object]:
     return run
 
 
-def _distorted(image: Image, camera: Camera) -> Image:
+def recorded_image(image: Image, camera: Camera) -> Image:
     """Return a rectified image as its camera would record it."""
     columns, rows = np.meshgrid(*(np.arange(length, dtype=np.float64) for length in camera.size))
     recorded = np.stack([columns.ravel(), rows.ravel()], axis=-1)
