@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any, TypeVar, cast
 
+import cv2
 import numba
 import numpy.typing as npt
 
@@ -63,9 +64,24 @@ def _compile(function: F, fastmath: set[str], *, forceinline: bool = False) -> F
     return cast('F', compiled)
 
 
+_limit = 0
+
+
+def limit_threads(count: int) -> None:
+    """Run kernels and OpenCV's functions on at most ``count`` threads; 0 = one per core."""
+    global _limit  # noqa: PLW0603 - a property of the process, as OpenCV's is
+    if count != _limit:
+        _limit = count
+        cv2.setNumThreads(count or -1)
+
+
 def thread_count() -> int:
-    """Return the number of cores this process may use (``OMP_NUM_THREADS`` lowers it)."""
+    """Return the number of threads of kernels.
+
+    It is that of the cores this process may use; ``OMP_NUM_THREADS`` and `limit_threads` lower it.
+    """
     available = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else 1
+    available = min(available, _limit or available)
     limit = os.environ.get('OMP_NUM_THREADS', '')
     return max(1, min(available, int(limit))) if limit.isdigit() else available
 

@@ -29,6 +29,7 @@ from binocular_recon.nodes.runtime.options import (
     DepthBoundOptions,
     FrameOptions,
     InputOptions,
+    LoadOptions,
     PresetOptions,
     QueueOptions,
     RectifyOptions,
@@ -41,8 +42,8 @@ RECTIFIER, COMPOSED = 'rectify_node', 'stereo_node'
 # Options of each separate node that are launch arguments. Only the first receives and pairs images
 # of the cameras: what it publishes carries one stamp. In the last images wait for disparities.
 OPTIONS: dict[str, tuple[type[Options], ...]] = {
-    RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions, FrameOptions),
-    'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig),
+    RECTIFIER: (InputOptions, CalibrationOptions, RectifyOptions, FrameOptions, LoadOptions),
+    'match_node': (PresetOptions, MatchConfig, DepthBoundOptions, ImageConfig, LoadOptions),
     'wls_filter_node': (
         PresetOptions,
         QueueOptions,
@@ -51,6 +52,7 @@ OPTIONS: dict[str, tuple[type[Options], ...]] = {
         CloudMessageOptions,
         ImageConfig,
         CalibrationOptions,
+        LoadOptions,
     ),
 }
 # Messages between the nodes must not be lost: reliable, whatever the cameras are.

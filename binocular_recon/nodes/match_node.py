@@ -8,7 +8,9 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from binocular_recon.config import PRESETS, ChainConfig
 from binocular_recon.io.messages.images import read_image
+from binocular_recon.nodes.runtime.demand import DISPARITIES_WANTED, PAIRS_WANTED
 from binocular_recon.nodes.runtime.endpoints import Input
+from binocular_recon.nodes.runtime.options import LoadOptions
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.nodes.runtime.rectified_node import RectifiedNode
 from binocular_recon.nodes.stages.matching import MatchStage
@@ -26,7 +28,8 @@ class MatchNode(RectifiedNode):
         Input('right/camera_info', CameraInfo),
     )
     OUTPUTS = MatchStage.OUTPUTS
-    LIVE = MatchStage.LIVE
+    LIVE = (*MatchStage.LIVE, LoadOptions)
+    DEMAND, REQUESTS = DISPARITIES_WANTED, (PAIRS_WANTED,)
 
     def __init__(self) -> None:
         super().__init__()

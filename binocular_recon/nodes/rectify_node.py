@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from sensor_msgs.msg import CameraInfo, Image
 
+from binocular_recon.nodes.runtime.demand import PAIRS_WANTED
 from binocular_recon.nodes.runtime.endpoints import Input
 from binocular_recon.nodes.runtime.frame_node import FrameNode
-from binocular_recon.nodes.runtime.options import InputOptions
+from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.nodes.stages.rectification import RectifyStage
 
@@ -27,8 +28,9 @@ class RectifyNode(FrameNode):
         Input('right/camera_info', CameraInfo),
     )
     OUTPUTS = RectifyStage.OUTPUTS
-    LIVE = RectifyStage.LIVE
+    LIVE = (*RectifyStage.LIVE, LoadOptions)
     FIXED = (InputOptions, *RectifyStage.FIXED)
+    DEMAND = PAIRS_WANTED
 
     def __init__(self) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ from binocular_recon.io.messages.images import read_image
 from binocular_recon.nodes.match_node import MatchNode
 from binocular_recon.nodes.rectify_node import RectifyNode
 from binocular_recon.nodes.runtime.frame_node import FrameNode
-from binocular_recon.nodes.runtime.options import InputOptions, RectifiedImageOptions
+from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions, RectifiedImageOptions
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.nodes.stages.filtering import FilterStage, Measured
 from binocular_recon.nodes.stages.matching import MatchedPair, MatchStage
@@ -33,7 +33,9 @@ class StereoNode(FrameNode):
     NAME = 'stereo_node'
     INPUTS = RectifyNode.INPUTS
     OUTPUTS = (*RectifyStage.OUTPUTS, *MatchStage.OUTPUTS, *FilterStage.OUTPUTS)
-    LIVE = tuple(dict.fromkeys((*RectifyStage.LIVE, *MatchStage.LIVE, *FilterStage.LIVE)))
+    LIVE = tuple(
+        dict.fromkeys((*RectifyStage.LIVE, *MatchStage.LIVE, *FilterStage.LIVE, LoadOptions))
+    )
     FIXED = (InputOptions, RectifiedImageOptions, *RectifyStage.FIXED)
 
     def __init__(self) -> None:

@@ -17,8 +17,13 @@ from binocular_recon.inputs.levels import LevelTracker
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image
+from binocular_recon.nodes.runtime.demand import DISPARITIES_WANTED, PAIRS_WANTED
 from binocular_recon.nodes.runtime.endpoints import Input
-from binocular_recon.nodes.runtime.options import LateInputOptions, RectifiedInfoOptions
+from binocular_recon.nodes.runtime.options import (
+    LateInputOptions,
+    LoadOptions,
+    RectifiedInfoOptions,
+)
 from binocular_recon.nodes.runtime.process import run_node
 from binocular_recon.nodes.runtime.rectified_node import RectifiedNode
 from binocular_recon.nodes.stages.filtering import FilterStage, Measured
@@ -40,8 +45,10 @@ class WlsFilterNode(RectifiedNode):
         Input('match_validity', Image, optional=True),
     )
     OUTPUTS = FilterStage.OUTPUTS
-    LIVE = (*FilterStage.LIVE, ImageConfig)
+    LIVE = (*FilterStage.LIVE, ImageConfig, LoadOptions)
     FIXED = (LateInputOptions, RectifiedInfoOptions, *FilterStage.FIXED)
+    # pairs are those that it has asked disparities of
+    REQUESTS, ASKS_EARLY = (DISPARITIES_WANTED, PAIRS_WANTED), True
 
     def __init__(self) -> None:
         super().__init__()

@@ -12,9 +12,6 @@ import numpy as np
 from binocular_recon.camera import StereoRig
 from binocular_recon.evaluation.speed.stages import Bench, Size, recorded_image
 from binocular_recon.images import ByteImage
-from binocular_recon.io.bags.reader import Bag
-from binocular_recon.io.bags.stereo_bag import StereoBag
-from binocular_recon.io.bags.stereo_topics import find_stereo_topics
 from binocular_recon.io.shared_files import shared_file
 
 # Frames that differ by their noise alone, grey levels of 255: a still scene, as from a camera.
@@ -63,6 +60,11 @@ def motorcycle(size: Size, seed: int = 0) -> LiveContent:
         If the pair is not installed.
 
     """
+    # here, so that who measures nothing needs no bags
+    from binocular_recon.io.bags.reader import Bag
+    from binocular_recon.io.bags.stereo_bag import StereoBag
+    from binocular_recon.io.bags.stereo_topics import find_stereo_topics
+
     with Bag(shared_file('bags/motorcycle')) as bag:
         images = next(iter(StereoBag(bag, find_stereo_topics(bag.topics)))).images()
     rig = Bench(size, []).rig

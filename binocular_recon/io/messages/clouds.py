@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.io.messages.images import assign_array
+from binocular_recon.io.messages.images import new_array
 from binocular_recon.stereo.triangulation import Cloud
 
 _UINT32, _FLOAT32 = 6, 7  # of sensor_msgs/PointField
@@ -57,13 +57,15 @@ def fill_cloud(
     names = {'rgb': colour, **cloud.sigmas_m, 'validity': validity}
     places, size = _layout([name for name in _PACKED if names.get(name) is not None], padding)
     height, width = cloud.sigma_z_m.shape
-    points = np.zeros((height, width, size), np.float32)
+    data = new_array(message, 'data', (height, width, 4 * size))
+    points = data.view(np.float32)
     points[..., :3] = cloud.points_xyz
     for name, sigma in cloud.sigmas_m.items():
         points[..., places[name]] = sigma
     if colour is not None:
-        blue, green, red = (colour[..., channel].astype(np.uint32) for channel in range(3))
-        points.view(np.uint32)[..., places['rgb']] = red << 16 | green << 8 | blue
+        place = 4 * places['rgb']  # the number 0x00RRGGBB
+        little = sys.byteorder == 'little'
+        data[..., place + (not little) : place + 4 - little] = colour[..., :: 1 if little else -1]
     if validity is not None:
         points.view(np.uint32)[..., places['validity']] = validity
     message.header = header
@@ -81,7 +83,6 @@ def fill_cloud(
     message.point_step = 4 * size
     message.row_step = message.point_step * width
     message.is_dense = bool(np.isfinite(cloud.depth_m).all())
-    assign_array(message, 'data', points)
 
 
 def _layout(names: Sequence[str], padding: bool) -> tuple[dict[str, int], int]:

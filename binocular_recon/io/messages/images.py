@@ -227,6 +227,22 @@ def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
         setattr(message, member, flat.view(present.dtype))
 
 
+def new_array(message: Any, member: str, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    """Give a byte array member of a message its size, and return it to be filled in place.
+
+    Zeros, in the shape of an array; the message's array type is kept.
+    """
+    count = int(np.prod(shape))
+    present = getattr(message, member)
+    if isinstance(present, array.array):
+        block = array.array(present.typecode, [0]) * count
+        setattr(message, member, block)
+        return np.frombuffer(block, np.uint8).reshape(shape)
+    values = np.zeros(count, np.uint8)
+    setattr(message, member, values.view(present.dtype))
+    return values.reshape(shape)
+
+
 def _kind(image: Image) -> tuple[str, int]:
     """Return type and number of channels, like the first two members of `_Encoding`."""
     return image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2]

@@ -110,9 +110,10 @@ def main(arguments: Sequence[str]) -> None:
         if rate_hz <= 0:
             changed.wait()
             continue
+        period_s = 1 / (rate_hz or 1.0)  # another thread sets the rate
         producer.send()
         # a pair that is late is sent at once, but pairs that are missed are not made up for
-        due_s = max(due_s + 1 / rate_hz, time.monotonic() - 1 / rate_hz)
+        due_s = max(due_s + period_s, time.monotonic() - period_s)
         changed.wait(max(0.0, due_s - time.monotonic()))
     node.destroy_node()
     rclpy.shutdown()

@@ -11,15 +11,18 @@ from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from binocular_recon._jit import limit_threads
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError, plain_text
-from binocular_recon.inputs.clocks import Mismatch
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.base_node import BaseNode
+from binocular_recon.nodes.runtime.demand import Demand, Requests
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
 from binocular_recon.nodes.runtime.health import SHARED_MEMORY
-from binocular_recon.nodes.runtime.options import InputOptions
+from binocular_recon.nodes.runtime.intake import Intake
+from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions
+from binocular_recon.nodes.runtime.remedies import remedy
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
 
@@ -33,16 +36,30 @@ class FrameNode(BaseNode):
     Inputs are received while somebody subscribes to an output. Messages with matching stamps form
     a frame, led by the first input. A subclass makes its outputs in `process`, which gets the
     newest frame; older ones that still wait are dropped.
+
+    Attributes
+    ----------
+    DEMAND : str
+        Topic on which consumers ask for frames; '' = all are made.
+    REQUESTS : sequence of str
+        Topics on which the node says that it takes frames on demand; it asks on the first.
+    ASKS_EARLY : bool
+        Whether it asks for the next frame when it begins one, or when it is done.
+
     """
 
     FIXED: ClassVar[Sequence[type[Options]]] = (InputOptions,)
     SUBJECT = 'frames'
+    DEMAND: ClassVar[str] = ''
+    REQUESTS: ClassVar[Sequence[str]] = ()
+    ASKS_EARLY: ClassVar[bool] = False
 
     def __init__(self) -> None:
         super().__init__()
         self._rig: tuple[Any, StereoRig] | None = None
-        self._processed = self._superseded = 0
-        self._worker = self.start_worker(self._process_frame)
+        self._processed, self._busy = 0, False
+        submit = self.start_worker(self._work).submit
+        self._intake = Intake(self.health, submit, lambda: self._load().max_rate)
 
     def start(
         self, inputs: Sequence[Input] | None = None, *, outputs: Sequence[Output] | None = None
@@ -71,6 +88,9 @@ class FrameNode(BaseNode):
         # that who sees those sees no subscription that is about to go.
         self._subscriptions_in_use = self._subscribe()
         self._unsubscribe()
+        if self.DEMAND:
+            self._intake.demand = Demand(self, self.DEMAND, outputs or self.OUTPUTS, self._on_ask)
+        self._intake.requests = Requests(self, self.REQUESTS)
         super().start(outputs=outputs)
         self.update_subscriptions()
 
@@ -123,11 +143,13 @@ class FrameNode(BaseNode):
             self._subscriptions_in_use = self._subscribe()
         elif not needed:
             self._unsubscribe()
+        self._intake.update()
+        self._on_ask()  # what was asked may be lost
 
     def condition(self) -> tuple[bytes, str]:
         """Return level and summary of the last second, and log what prevents frames."""
         processed, self._processed = self._processed, 0
-        superseded, self._superseded = self._superseded, 0
+        superseded = self._intake.superseded()
         if not self._subscriptions_in_use:
             return DiagnosticStatus.OK, f'idle: no subscribers on {", ".join(self._outputs)}'
         ages_s = self.health.silent()
@@ -181,30 +203,7 @@ class FrameNode(BaseNode):
                 f'frames of {", ".join(self._inputs)} stay incomplete although their stamps match:'
                 ' messages are lost; set reliability to reliable on both sides or raise queue_size'
             )
-        return f'{missing.text}; {self._remedy(missing)}'
-
-    def _remedy(self, missing: Mismatch) -> str:
-        """Return the parameters to set so that stamps match."""
-        if missing.offset_s is not None:
-            exact = (
-                f'set stamp_offset to {missing.offset_s:.6f}, or pairing to arrival if a hardware'
-                ' trigger takes them together'
-            )
-            if missing.tolerance_s is None:
-                return exact
-        if missing.tolerance_s is None:
-            return (
-                'that is at least half a frame period, so no tolerance tells which belong'
-                ' together: trigger the cameras together and stamp them by one clock'
-            )
-        remedy = (
-            'raise approximate_sync_tolerance_seconds to'
-            if self.options.of(InputOptions).tolerance_ns
-            else 'trigger the cameras together or set approximate_sync with'
-            ' approximate_sync_tolerance_seconds of'
-        )
-        remedy = f'{remedy} at least {missing.tolerance_s:.6f}'
-        return f'{remedy}, or {exact}' if missing.offset_s is not None else remedy
+        return f'{missing.text}; {remedy(missing, self.options.of(InputOptions).tolerance_ns)}'
 
     def _explain_lateness(self) -> str:
         """Say which messages arrive after their partners were dropped, '' if none do."""
@@ -267,9 +266,28 @@ class FrameNode(BaseNode):
         arrived_ns = time.monotonic_ns()
         for frame in self._synchronizer.add(topic, stamp_ns(message.header), message, arrived_ns):
             self.health.received(_SETS)
-            if self._worker.submit(frame):
-                self._superseded += 1
-                self.health.dropped('a newer set came before it was begun')
+            self._intake.offer(frame)
+
+    def _on_ask(self) -> None:
+        self._intake.release()
+        if self._subscriptions_in_use and not self._busy:
+            self._intake.ask()
+
+    def _load(self) -> LoadOptions:
+        return self.options.of(LoadOptions) if LoadOptions in self.LIVE else LoadOptions()
+
+    def _work(self, messages: tuple[Any, ...]) -> None:
+        """Process a frame, and ask for the next, in the worker thread."""
+        self._busy = True
+        limit_threads(self._load().threads)
+        if self.ASKS_EARLY:
+            self._intake.ask()
+        try:
+            self._process_frame(messages)
+        finally:
+            self._busy = False
+            if not self.ASKS_EARLY:
+                self._intake.ask()
 
     def _process_frame(self, messages: tuple[Any, ...]) -> None:
         """Process a frame in the worker thread; an unusable one is counted and reported."""

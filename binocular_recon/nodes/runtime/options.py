@@ -52,6 +52,22 @@ class InputOptions(PairingOptions, QueueOptions):
 
 
 @dataclass(frozen=True)
+class LoadOptions(Options):
+    """How much of the machine a node uses."""
+
+    max_rate: float = option(
+        0.0,
+        'Frames per second at most; others are dropped before anything is done with them; 0: any',
+        unit='Hz',
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    threads: int = option(
+        0, 'Threads that compute; 0: one per core of the process', minimum=0, maximum=1024
+    )
+
+
+@dataclass(frozen=True)
 class LateInputOptions(InputOptions):
     """How a node combines images with data that another node computes from them."""
 

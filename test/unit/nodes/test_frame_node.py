@@ -154,13 +154,11 @@ def test_losses_in_transport_come_before_what_they_cause() -> None:
 
 def test_the_remedy_for_a_constant_is_a_parameter() -> None:
     from binocular_recon.inputs.clocks import Mismatch
-    from binocular_recon.nodes.runtime.frame_node import FrameNode
-    from binocular_recon.nodes.runtime.options import InputOptions
+    from binocular_recon.nodes.runtime.remedies import remedy
 
-    node: Any = SimpleNamespace(options=Mock(of=lambda _: InputOptions()))
-    text = FrameNode._remedy(node, Mismatch('', None, -0.06))
+    text = remedy(Mismatch('', None, -0.06), 0)
     assert text.startswith('set stamp_offset to -0.060000, or pairing to arrival')
-    text = FrameNode._remedy(node, Mismatch('', 0.03, -0.03))
+    text = remedy(Mismatch('', 0.03, -0.03), 0)
     assert 'at least 0.030000, or set stamp_offset to -0.030000' in text
 
 
@@ -196,7 +194,8 @@ def test_what_prevents_frames(
     from binocular_recon.nodes.runtime.frame_node import FrameNode
 
     node: Any = object.__new__(FrameNode)
-    node._processed, node._superseded, node._subscriptions_in_use = 7, 0, [Mock()] * 3
+    node._processed, node._subscriptions_in_use = 7, [Mock()] * 3
+    node._intake = Mock(superseded=lambda: 0)
     node._inputs = {
         name: Mock(transported=name == 'left') for name in ('left', 'disparity', 'confidence')
     }
