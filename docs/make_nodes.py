@@ -40,6 +40,12 @@ Every node publishes `/diagnostics` once a second: messages received, published 
 reason, processing time, the calibration in use and the last error; `wls_filter_node` also the
 iterations and the estimated error of the last frame.
 
+`stereo_node` is the three nodes of the chain in one, and is what the launch file starts; its
+diagnostics hold what those of the three hold, and the time of each stage. Started apart, the
+three work on demand: a consumer asks for each frame (`_wanted/pairs`, `_wanted/disparities`,
+std_msgs/Empty), so that nothing is rectified, matched and sent that would be dropped. Where
+anybody else subscribes, a viewer or a recorder, all frames are sent. `max_rate` limits either.
+
 A *live* parameter can be changed while the node runs; a value that is not valid is rejected with
 the reason. `preset` sets every parameter that was not set explicitly.
 """

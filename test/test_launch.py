@@ -146,7 +146,7 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
     _, actions = launched(CHAIN, composed='false', **given)
     found = {
         action.executable: {
-            name: value for name, value in action.parameters[1].items() if 'qos' not in name
+            name: value for name, value in action.parameters[-1].items() if 'qos' not in name
         }
         for action in actions
         if isinstance(action, Node)
@@ -175,9 +175,11 @@ def test_arguments_become_parameters_of_the_right_nodes() -> None:
             'camera_info': 'camera_info_rect',
         },
     }
-    assert all(
-        action.parameters[0] == 'mine.yaml' for action in actions if isinstance(action, Node)
-    )
+    assert [a.parameters[:-1] for a in actions if isinstance(a, Node)] == [
+        ['mine.yaml'],
+        ['mine.yaml'],
+        [{'avoid_point_cloud_padding': True}, 'mine.yaml'],  # what differs from the nodes' own
+    ]
 
 
 def test_one_node_takes_the_place_of_those_that_are_apart(tmp_path: Path) -> None:
@@ -197,7 +199,8 @@ def test_one_node_takes_the_place_of_those_that_are_apart(tmp_path: Path) -> Non
     assert node.executable == 'stereo_node' and dict(node.remappings) == {
         'left/image_raw': '/cam0/image'
     }
-    of_others, whole, values = node.parameters
+    defaults, of_others, whole, values = node.parameters
+    assert defaults == {'avoid_point_cloud_padding': True}
     assert of_others == {
         'alpha': 0.0,
         'queue_size': 9,
@@ -254,7 +257,7 @@ def test_empty_arguments_count_as_not_given() -> None:
     arguments, _ = launched(CHAIN)
     _, actions = launched(CHAIN, **dict.fromkeys(arguments, ''))
     assert [action.executable for action in actions] == ['stereo_node']
-    assert all(action.parameters[0]['use_sim_time'] is False for action in actions)
+    assert all(action.parameters[-1]['use_sim_time'] is False for action in actions)
     assert launched(CHAIN, rviz='true', rviz_frame='')[1][-1].arguments[-1] == (
         arguments['rviz_frame'].default_value
     )

@@ -125,17 +125,27 @@ def _run_live(args: argparse.Namespace, sizes: Sequence[Size]) -> None:
 
 
 def _live_tables(results: Sequence[LiveResult]) -> list[str]:
-    header = ['', 'clouds/s', 'relative', 'latency s', '95 % s', 'CPU s/cloud', 'memory MB']
+    header = [
+        '',
+        'clouds/s',
+        'relative',
+        'latency s',
+        '95 % s',
+        'CPU s/cloud',
+        'relative',
+        'memory MB',
+    ]
     tables = []
     for title in dict.fromkeys((one.preset, one.size) for one in results):
         rows, drops = [], []
         for one in (one for one in results if (one.preset, one.size) == title):
             values = [fixed(one.clouds_per_s, 2), fixed(one.relative, 2)]
             if one.name == OFFLINE:
-                values += ['', '', fixed(one.cpu_s_per_cloud, 3), '']
+                values += ['', '', fixed(one.cpu_s_per_cloud, 3), fixed(one.cpu_relative, 2), '']
             else:
                 values += [fixed(one.latency_s, 3), fixed(one.latency_95_s, 3)]
-                values += [fixed(one.cpu_s_per_cloud, 3), fixed(one.memory_mb, 0)]
+                values += [fixed(one.cpu_s_per_cloud, 3), fixed(one.cpu_relative, 2)]
+                values += [fixed(one.memory_mb, 0)]
             rows.append([one.name, *values])
             drops += [
                 f'- {one.name}, {reason}: {fixed(rate)} per second'

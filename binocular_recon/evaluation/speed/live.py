@@ -102,6 +102,9 @@ class LiveResult:
         From the stamp of a pair to the arrival of its cloud: median and 95 % quantile.
     cpu_s_per_cloud : float
         Processor time of all its processes.
+    cpu_relative : float
+        Processor time per cloud of the chain alone, relative to it; on a machine with other work
+        this holds where ``relative`` does not.
     memory_mb : float
         Largest resident memory of its processes together, at the end of a round.
     dropped : dict
@@ -117,6 +120,7 @@ class LiveResult:
     latency_s: float
     latency_95_s: float
     cpu_s_per_cloud: float
+    cpu_relative: float
     memory_mb: float
     dropped: dict[str, float]
 
@@ -281,6 +285,7 @@ def _summary(
     rates = [turn.clouds / turn.seconds for turn in turns]
     relative = [rate / (o.clouds / o.seconds) for rate, o in zip(rates, offline, strict=True)]
     latencies_s = [one for turn in turns for one in turn.latencies_s] or [np.nan]
+    cpu_s = _cpu_s_per_cloud(turns)
     reasons = sorted({reason for turn in turns for reason in turn.dropped})
     return LiveResult(
         *names,
@@ -288,7 +293,12 @@ def _summary(
         float(np.median(relative)),
         float(np.median(latencies_s)),
         float(np.quantile(latencies_s, 0.95)),
-        float(np.median([turn.cpu_s / max(1, turn.clouds) for turn in turns])),
+        float(np.median(cpu_s)),
+        float(np.median(np.divide(_cpu_s_per_cloud(offline), cpu_s))),
         max(turn.memory_mb for turn in turns),
         {one: float(np.mean([turn.dropped.get(one, 0.0) for turn in turns])) for one in reasons},
     )
+
+
+def _cpu_s_per_cloud(turns: Sequence[Turn]) -> list[float]:
+    return [turn.cpu_s / max(1, turn.clouds) for turn in turns]
