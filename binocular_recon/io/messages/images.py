@@ -7,6 +7,7 @@ Array members keep the type that they have in the message: `array.array` in rclp
 from __future__ import annotations
 
 import array
+import math
 import sys
 from typing import Any, NamedTuple
 
@@ -214,33 +215,50 @@ def assign_array(message: Any, member: str, values: npt.NDArray[Any]) -> None:
     """Set an array member of a message, keeping its array type, with a single copy.
 
     Assigning a numpy array to a message of rclpy copies element by element, which takes a second
-    for an image; this takes milliseconds.
+    for an image, and assigning an `array.array` copies it; its own array is filled instead.
     """
     present = getattr(message, member)
     if isinstance(present, array.array):
-        block = array.array(present.typecode)
+        present = _emptied(message, member)
         if values.size:
-            block.frombytes(np.ascontiguousarray(values).data.cast('B'))
-        setattr(message, member, block)
+            present.frombytes(np.ascontiguousarray(values).data.cast('B'))
     else:
         flat = np.ascontiguousarray(values).reshape(-1)
         setattr(message, member, flat.view(present.dtype))
 
 
 def new_array(message: Any, member: str, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
-    """Give a byte array member of a message its size, and return it to be filled in place.
+    """Give a byte array member of a message a size, and return it, zeros, to be filled in place.
 
-    Zeros, in the shape of an array; the message's array type is kept.
+    The message's array type is kept; the memory of a message that is used again, too, if its size
+    does not change.
     """
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     present = getattr(message, member)
-    if isinstance(present, array.array):
-        block = array.array(present.typecode, [0]) * count
-        setattr(message, member, block)
-        return np.frombuffer(block, np.uint8).reshape(shape)
-    values = np.zeros(count, np.uint8)
-    setattr(message, member, values.view(present.dtype))
-    return values.reshape(shape)
+    if not isinstance(present, array.array):
+        values = np.zeros(count, np.uint8)
+        setattr(message, member, values.view(present.dtype))
+        return values.reshape(shape)
+    if len(present) == count:
+        filled = np.frombuffer(present, np.uint8).reshape(shape)
+        filled[...] = 0
+        return filled
+    present = _emptied(message, member)
+    if count:
+        present.append(0)
+        present *= count
+    return np.frombuffer(present, np.uint8).reshape(shape)
+
+
+def _emptied(message: Any, member: str) -> Any:
+    """Return the `array.array` of a message, without content; another if somebody looks at it."""
+    present = getattr(message, member)
+    try:
+        del present[:]
+    except BufferError:
+        setattr(message, member, array.array(present.typecode))
+        present = getattr(message, member)
+    return present
 
 
 def _kind(image: Image) -> tuple[str, int]:

@@ -102,6 +102,9 @@ class FilterStage:
     def __init__(self, node: FrameNode) -> None:
         self._node = node
         self._filter = DisparityFilter(FilterConfig())
+        self._cloud = (
+            PointCloud2()
+        )  # used again: new memory of this size takes longer than to fill
         self._calibrated: tuple[StereoRig, StereoRig] | None = None
         folder = node.options.of(CalibrationOptions).calibration
         self._covariance = read_rig(Path(folder).expanduser()).covariance if folder else None
@@ -180,9 +183,8 @@ class FilterStage:
             colour = to_bgr8(measured.image, measured.levels) if options.use_color else None
             points = PointSet(cloud, filtered.validity, colour)
             kept, validity, colour = thin(points, node.options.of(CloudConfig))
-            message = PointCloud2()
             fill_cloud(
-                message,
+                self._cloud,
                 kept,
                 header,
                 PointField,
@@ -190,4 +192,4 @@ class FilterStage:
                 validity=validity if options.validity else None,
                 padding=not options.avoid_point_cloud_padding,
             )
-            node.publish('points2', message)
+            node.publish('points2', self._cloud)

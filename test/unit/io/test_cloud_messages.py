@@ -95,3 +95,24 @@ def test_organised_cloud(colour: bool, padding: bool, step: int, offsets: dict[s
     points[1, 1] = np.nan
     fill_cloud(message, cloud, header, SimpleNamespace)
     assert message.is_dense is False
+
+
+def test_a_message_that_is_filled_again_keeps_nothing_of_the_cloud_before() -> None:
+    """Nor its memory, if somebody still looks at it and the size changes."""
+    message = SimpleNamespace(data=array.array('B'))
+    large, small = (
+        Cloud(np.full((2, width, 3), 1.5, np.float32), np.full((2, width, 1), 0.5, np.float32))
+        for width in (3, 2)
+    )
+    bits = np.full((2, 3), 7, np.uint8)
+    colour = np.full((2, 3, 3), 9, np.uint8)
+    fill_cloud(message, large, None, SimpleNamespace, colour=colour, validity=bits)
+    again = SimpleNamespace(data=array.array('B'))
+    for one in (message, again):
+        fill_cloud(one, large, None, SimpleNamespace, colour=colour)
+    assert message.data == again.data
+    view = np.frombuffer(message.data, np.uint8)
+    before = view.copy()
+    fill_cloud(message, small, None, SimpleNamespace)
+    assert len(message.data) == 2 * 2 * 16
+    np.testing.assert_array_equal(view, before)
