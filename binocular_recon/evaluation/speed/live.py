@@ -16,20 +16,16 @@ import numpy as np
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation.speed.live_content import LiveContent, motorcycle
 from binocular_recon.evaluation.speed.live_processes import (
+    NAMESPACE,
     LiveError,
     Process,
-    node_command,
+    chain_commands,
     running,
 )
 from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.stereo.pipeline import Chain
 
-_NAMESPACE = '/live_benchmark'
 OFFLINE = 'chain alone'
-_SIDES = ('left', 'right')
-_CAMERAS = [f'{side}/{kind}' for side in _SIDES for kind in ('image_raw', 'camera_info')]
-_RECTIFIED = [f'{side}/{kind}' for side in _SIDES for kind in ('image_rect', 'camera_info_rect')]
-_MEASURED = ['disparity', 'confidence', 'match_validity']
 # Clouds that must have come before a measurement begins, and how long they may take: the first
 # start of the nodes compiles their kernels.
 _SETTLED, _START_WITHIN_S = 3, 300.0
@@ -143,7 +139,9 @@ def measure(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         content.save(folder / 'pairs.npz')
-        with running(_commands(size, options, folder / 'pairs.npz'), folder) as processes:
+        with running(
+            chain_commands(size, options.preset, folder / 'pairs.npz', options.parameters), folder
+        ) as processes:
             offline = _Offline(content, options)
             for number in range(options.rounds):
                 for contestant, found in turns.items():
@@ -156,36 +154,6 @@ def measure(
         _summary((options.preset, str(size), name), found, turns[OFFLINE])
         for name, found in turns.items()
     ]
-
-
-def _commands(size: Size, options: LiveOptions, pairs: Path) -> dict[str, list[str]]:
-    """Return the command of each process; nodes by namespace and name."""
-    values: dict[str, object] = {**options.parameters}
-    chain: dict[str, object] = {'preset': options.preset, 'disparity_range': size.disparity_range}
-    commands = {
-        'cameras': ['-m', 'binocular_recon.nodes.live.producer', _NAMESPACE, str(pairs)],
-        'listener': ['-m', 'binocular_recon.nodes.live.listener'],
-    }
-    cameras = {topic: f'{_NAMESPACE}/{topic}' for topic in _CAMERAS}
-    space = f'{_NAMESPACE}/composed'
-    commands['composed/stereo_node'] = node_command(
-        'stereo_node', space, {**values, **chain}, cameras
-    )
-    space = f'{_NAMESPACE}/separate'
-    commands['separate/rectify_node'] = node_command('rectify_node', space, values, cameras)
-    for name, topics in (
-        ('match_node', _RECTIFIED),
-        ('wls_filter_node', [*_MEASURED, _RECTIFIED[0], *_RECTIFIED[1::2]]),
-    ):
-        own: dict[str, object] = {
-            f'qos_overrides.{space}/{topic}.subscription.reliability': 'reliable'
-            for topic in topics
-        }
-        own |= {**values, 'camera_info': 'camera_info_rect', 'preset': options.preset}
-        if name == 'match_node':
-            own['disparity_range'] = size.disparity_range
-        commands[f'separate/{name}'] = node_command(name, space, own)
-    return commands
 
 
 class _Offline:
@@ -207,7 +175,7 @@ class _Offline:
 
 def _live(contestant: str, processes: Mapping[str, Process], options: LiveOptions) -> Turn:
     """Measure nodes: the others have no subscribers meanwhile and do nothing."""
-    space = f'{_NAMESPACE}/{contestant}'
+    space = f'{NAMESPACE}/{contestant}'
     clouds = f'{space}/points2'
     nodes = {name: one for name, one in processes.items() if name.startswith(contestant)}
     cameras, listener = processes['cameras'], processes['listener']

@@ -16,11 +16,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from binocular_recon.errors import BinocularReconError
+from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.io.shared_files import shared_file
 
 # How long a process may take to end before it is killed.
 _END_WITHIN_S = 10.0
 _PROFILE = 'config/fastdds_shared_memory.xml'
+NAMESPACE = '/live_benchmark'
+_SIDES = ('left', 'right')
+_CAMERAS = [f'{side}/{kind}' for side in _SIDES for kind in ('image_raw', 'camera_info')]
+_RECTIFIED = [f'{side}/{kind}' for side in _SIDES for kind in ('image_rect', 'camera_info_rect')]
+_MEASURED = ['disparity', 'confidence', 'match_validity']
 
 
 class LiveError(BinocularReconError):
@@ -135,6 +141,38 @@ def node_command(
         text = str(value).lower() if isinstance(value, bool) else str(value)
         command += ['-p', f'{parameter}:={text}']
     return command
+
+
+def chain_commands(
+    size: Size, preset: str, pairs: Path, parameters: Mapping[str, object]
+) -> dict[str, list[str]]:
+    """Return the command of each process: cameras, listener, and nodes by namespace and name."""
+    values: dict[str, object] = {**parameters}
+    chain: dict[str, object] = {'preset': preset, 'disparity_range': size.disparity_range}
+    commands = {
+        'cameras': ['-m', 'binocular_recon.nodes.live.producer', NAMESPACE, str(pairs)],
+        'listener': ['-m', 'binocular_recon.nodes.live.listener'],
+    }
+    cameras = {topic: f'{NAMESPACE}/{topic}' for topic in _CAMERAS}
+    space = f'{NAMESPACE}/composed'
+    commands['composed/stereo_node'] = node_command(
+        'stereo_node', space, {**values, **chain}, cameras
+    )
+    space = f'{NAMESPACE}/separate'
+    commands['separate/rectify_node'] = node_command('rectify_node', space, values, cameras)
+    for name, topics in (
+        ('match_node', _RECTIFIED),
+        ('wls_filter_node', [*_MEASURED, _RECTIFIED[0], *_RECTIFIED[1::2]]),
+    ):
+        own: dict[str, object] = {
+            f'qos_overrides.{space}/{topic}.subscription.reliability': 'reliable'
+            for topic in topics
+        }
+        own |= {**values, 'camera_info': 'camera_info_rect', 'preset': preset}
+        if name == 'match_node':
+            own['disparity_range'] = size.disparity_range
+        commands[f'separate/{name}'] = node_command(name, space, own)
+    return commands
 
 
 @contextmanager
