@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> None:
 def _run_live(args: argparse.Namespace, sizes: Sequence[Size]) -> None:
     if importlib.util.find_spec('rclpy') is None:
         raise BinocularReconError(NO_ROS)
-    results = []
+    results: list[LiveResult] = []
     count = len(sizes) * len(args.presets)
     with ProgressBar(count, 'sizes') as bar:
         for number, (preset, size) in enumerate(itertools.product(args.presets, sizes)):
@@ -118,10 +118,11 @@ def _run_live(args: argparse.Namespace, sizes: Sequence[Size]) -> None:
                 rounds=args.repeat,
                 outputs=list(dict.fromkeys(['points2', *args.listen])),
             )
-            results += measure(size, options, functools.partial(bar.show, number))
-    print('\n\n'.join(_live_tables(results)))
-    facts = {'machine': machine_facts(), 'rate_hz': args.rate, 'seconds': args.seconds}
-    write_json(args.output / 'live.json', to_plain({**facts, 'results': results}))
+            found = measure(size, options, functools.partial(bar.show, number))
+            results += found
+            print('\n\n'.join(_live_tables(found)) + '\n', flush=True)
+            facts = {'machine': machine_facts(), 'rate_hz': args.rate, 'seconds': args.seconds}
+            write_json(args.output / 'live.json', to_plain({**facts, 'results': results}))
 
 
 def _live_tables(results: Sequence[LiveResult]) -> list[str]:
