@@ -20,9 +20,9 @@ from binocular_recon.nodes.runtime.base_node import BaseNode
 from binocular_recon.nodes.runtime.demand import Demand, Requests
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
 from binocular_recon.nodes.runtime.health import SHARED_MEMORY
-from binocular_recon.nodes.runtime.intake import Intake
 from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions
 from binocular_recon.nodes.runtime.remedies import remedy
+from binocular_recon.nodes.runtime.worker import Intake
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
 
 def make_intake(max_rate_hz: float = 0.0) -> tuple[Any, list[int], Any]:
     """Return an intake, what it has handed on, and its health; the worker holds one frame."""
-    from binocular_recon.nodes.runtime.intake import Intake
+    from binocular_recon.nodes.runtime.worker import Intake
 
     passed: list[int] = []
     health = Mock()
