@@ -57,9 +57,9 @@ class FrameNode(BaseNode):
     def __init__(self) -> None:
         super().__init__()
         self._rig: tuple[Any, StereoRig] | None = None
-        self._processed, self._busy = 0, False
+        self._processed = 0
         submit = self.start_worker(self._work).submit
-        self._intake = Intake(self.health, submit, lambda: self._load().max_rate)
+        self._intake = Intake(self.health, submit, lambda: self.options.of(LoadOptions).max_rate)
 
     def start(
         self, inputs: Sequence[Input] | None = None, *, outputs: Sequence[Output] | None = None
@@ -270,24 +270,12 @@ class FrameNode(BaseNode):
 
     def _on_ask(self) -> None:
         self._intake.release()
-        if self._subscriptions_in_use and not self._busy:
-            self._intake.ask()
-
-    def _load(self) -> LoadOptions:
-        return self.options.of(LoadOptions) if LoadOptions in self.LIVE else LoadOptions()
+        if self._subscriptions_in_use:
+            self._intake.ask_if_idle()
 
     def _work(self, messages: tuple[Any, ...]) -> None:
-        """Process a frame, and ask for the next, in the worker thread."""
-        self._busy = True
-        limit_threads(self._load().threads)
-        if self.ASKS_EARLY:
-            self._intake.ask()
-        try:
-            self._process_frame(messages)
-        finally:
-            self._busy = False
-            if not self.ASKS_EARLY:
-                self._intake.ask()
+        limit_threads(self.options.of(LoadOptions).threads)
+        self._intake.work(self._process_frame, messages, asks_early=self.ASKS_EARLY)
 
     def _process_frame(self, messages: tuple[Any, ...]) -> None:
         """Process a frame in the worker thread; an unusable one is counted and reported."""

@@ -63,9 +63,10 @@ class Parameters:
         node.add_post_set_parameters_callback(self._accept)
 
     def of(self, group: type[Group]) -> Group:
-        """Return the current values of one group."""
+        """Return the current values of one group; the defaults of one that is not declared."""
         values = self._values  # another thread may replace it, as a whole
-        return group(**{spec.name: values[spec.name] for spec in _fields(group)})
+        names = (spec.name for spec in _fields(group))
+        return group(**{name: values[name] for name in names if name in values})
 
     def _declare(self, node: Node, name: str, *, read_only: bool) -> None:
         spec = self._specs[name]

@@ -92,7 +92,7 @@ class Intake(Generic[Job]):
         self._health, self._submit, self._max_rate_hz = health, submit, max_rate_hz
         self._lock = threading.Lock()
         self._held: list[Job] = []  # at most one
-        self._superseded, self._due_s = 0, -float('inf')
+        self._superseded, self._due_s, self._busy = 0, -float('inf'), False
 
     def offer(self, frame: Job) -> None:
         """Take a frame; it replaces one that is still held."""
@@ -124,6 +124,23 @@ class Intake(Generic[Job]):
         """Look again at who takes the node's outputs."""
         if self.demand is not None:
             self.demand.update()
+
+    def work(self, process: Callable[[Job], None], frame: Job, *, asks_early: bool) -> None:
+        """Process a frame in the worker thread and ask for the next, at the begin or the end."""
+        self._busy = True
+        if asks_early:
+            self.ask()
+        try:
+            process(frame)
+        finally:
+            self._busy = False
+            if not asks_early:
+                self.ask()
+
+    def ask_if_idle(self) -> None:
+        """Ask for a frame unless one is being processed, whose end will ask."""
+        if not self._busy:
+            self.ask()
 
     def superseded(self) -> int:
         """Return how many frames gave way to newer ones since the last call."""
