@@ -217,12 +217,14 @@ print(digest, sum(links.stats.cache_hits.values()))
 
 
 def test_compiled_and_loaded_kernels_give_the_same_bits(tmp_path: Path) -> None:
-    """One that calls another with sums whose order the compiler may choose."""
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
+    """Of a kernel that calls another with sums whose order the compiler may choose."""
+    package = tmp_path / 'binocular_recon'
+    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
     compiled, loaded = (
         subprocess.run(
             [sys.executable, '-c', LINKS],
-            env=environment,
+            cwd=tmp_path,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
             capture_output=True,
             text=True,
             check=True,
