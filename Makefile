@@ -34,7 +34,7 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run.
-test: lint site colcon suites ## everything that CI runs
+test: lint site suites ## everything that CI runs
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -59,7 +59,7 @@ ifdef ROS_DISTRO
 jazzy:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
 
-suites: unit kernels
+suites: unit kernels colcon
 	$(PYTEST) --done test/unit
 else
 jazzy-environment:
@@ -80,7 +80,7 @@ unit-suites:
 	@echo 'unit tests with the newest versions, then all but the long ones with the oldest'
 	$(PYTEST) -q test/unit
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
-	@$(MAKE) --no-print-directory kernels
+	@$(MAKE) --no-print-directory kernels colcon
 
 node-suites:
 	@echo 'system tests with ROS 2 Jazzy, then all but unit tests with Kilted'

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 # Soon enough not to be noticed, late enough for the destructor to be over.
@@ -32,6 +33,17 @@ def raise_signals() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, functools.partial(_raise, error))
     sys.unraisablehook = _raise_again
+
+
+def leave_on_signals(end: Callable[[bool], object]) -> None:
+    """Let SIGINT and SIGTERM call ``end``, which ends the process: while modules are imported.
+
+    An exception that is raised in the import of an extension may come out as another one. ``end``
+    is told whether it was SIGTERM. `raise_signals` ends this.
+    """
+    for number in _ERRORS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda sent, _: end(sent == signal.SIGTERM))
 
 
 def ignore_signals() -> None:

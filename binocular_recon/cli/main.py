@@ -11,7 +11,13 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from binocular_recon import __version__
-from binocular_recon.apps.signals import Terminated, ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import (
+    Terminated,
+    ignore_signals,
+    leave,
+    leave_on_signals,
+    raise_signals,
+)
 from binocular_recon.errors import BinocularReconError, ConfigError, plain_text
 
 # The program's name in all messages, however it was started.
@@ -64,22 +70,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     program = f'{PROGRAM} {command}' if command in COMMANDS else PROGRAM
     try:
         if of_process:
+            leave_on_signals(lambda terminated: leave(_say_interrupted(program, terminated)))
+        args = _parser(argv).parse_args(argv)  # imports the command
+        if of_process:
             raise_signals()
-        return _run(argv, program)
+        return _run(args, program)
     except KeyboardInterrupt as interrupt:
         if of_process:
             ignore_signals()
-        terminated = isinstance(interrupt, Terminated)
-        kept = f'; {interrupt}' if str(interrupt) else ''
-        print(f'{program}: {"terminated" if terminated else "interrupted"}{kept}', file=sys.stderr)
-        status = EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
+        status = _say_interrupted(program, isinstance(interrupt, Terminated), str(interrupt))
     if of_process:
         leave(status)
     return status
 
 
-def _run(argv: Sequence[str], program: str) -> int:
-    args = _parser(argv).parse_args(argv)
+def _say_interrupted(program: str, terminated: bool, kept: str = '') -> int:
+    """Say that the command was interrupted, and what it kept; return its status."""
+    what = 'terminated' if terminated else 'interrupted'
+    print(f'{program}: {what}{"; " if kept else ""}{kept}', file=sys.stderr)
+    return EXIT_TERMINATED if terminated else EXIT_INTERRUPTED
+
+
+def _run(args: argparse.Namespace, program: str) -> int:
     try:
         command_module(args.command).run(args)
         _say_cache_problem()

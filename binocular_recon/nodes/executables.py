@@ -10,7 +10,7 @@ import functools
 import importlib
 from collections.abc import Callable
 
-from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import leave, leave_on_signals
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -21,10 +21,6 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 def start(name: str) -> int:
     """Run a node with the command line of the process and return its exit status."""
-    raise_signals()
-    try:
-        status: int = importlib.import_module(f'binocular_recon.nodes.{name}').main()
-    except KeyboardInterrupt:
-        ignore_signals()
-        leave(0)
+    leave_on_signals(lambda _terminated: leave(0))
+    status: int = importlib.import_module(f'binocular_recon.nodes.{name}').main()
     return status

@@ -234,7 +234,7 @@ def test_damaged_and_missing_files_are_named(scenes: Path) -> None:
     with pytest.raises(FileError, match=r'scene\.yaml is not valid YAML'):
         read_scene(scenes / 'park')
     (scenes / 'park' / 'scene.yaml').unlink()
-    with pytest.raises(FileError, match=r'scene\.yaml is missing'):
+    with pytest.raises(FileError, match=r'scene\.yaml cannot be read: No such file'):
         read_scene(scenes / 'park')
 
 
