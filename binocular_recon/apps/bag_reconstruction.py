@@ -112,6 +112,7 @@ def reconstruct_bag(
         try:
             if results.facts:
                 report(f'{output} is finished already; --no-resume computes it again')
+                _repeat_warnings(results, report)
             else:
                 rectify = not topics.rectified
                 _reconstruct(stereo, source, results, config, report, rectify=rectify)
@@ -177,6 +178,7 @@ def _reconstruct(
     before = results.pairs
     if before:
         report(f'{len(results.frames)} frames are finished already; continuing after them')
+        _repeat_warnings(results, report)
     with ProgressBar(min(count, source.max_frames or count), 'frames', before) as progress:
         pairs = itertools.islice(stereo, 0, None, source.every)
         for number, pair in enumerate(pairs, 1):
@@ -222,6 +224,16 @@ def _reconstruct(
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
+
+
+def _repeat_warnings(results: ResultFolder, report: Callable[[str], None]) -> None:
+    """Report the warnings of the frames of an earlier run, one of each kind."""
+    said = set()
+    for frame in results.frames:
+        for text in filter(None, [frame.get('warning'), *frame.get('findings', ())]):
+            if _kind(text) not in said:
+                said.add(_kind(text))
+                report(f'warning: {text}')
 
 
 def _restore(chain: Chain, results: ResultFolder) -> None:
