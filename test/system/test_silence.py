@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,20 +36,22 @@ def test_the_node_that_drops_the_frames_is_named(
         graph.wait_for_subscriber(*cameras.topics)
         index = iter(range(100_000))
 
-        def damaged() -> bool:
-            """Send a frame whose calibration is refused; tell whether the matcher knows why."""
+        def damaged(node: str, text: str) -> bool:
+            """Send a frame whose calibration is refused; tell whether a node's status says so."""
             i = next(index)
             info = info_message(cameras.rig.left, header(i))
             info.p = 0 * np.asarray(info.p)
             cameras.send(i, image_pair(1), left_info=info)
-            found = graph.status('/rig/match_node')
-            return found is not None and '/rig/rectify_node publishes them' in found.message
+            found = graph.status(node)
+            return found is not None and text in found.message
 
-        wait_until(damaged, 'the matcher names the rectifier', every_s=0.1)
+        for node, text in (
+            ('/rig/match_node', '/rig/rectify_node publishes them'),
+            ('/rig/rectify_node', 'left camera: P is not that of a rectified'),
+        ):
+            wait_until(partial(damaged, node, text), f'{node} says {text!r}', every_s=0.1)
         status = graph.wait_for_status('/rig/match_node', 'sends nothing')
         assert 'its status on /diagnostics say why' in status.message
-        status = graph.status('/rig/rectify_node')
-        assert status is not None and 'left camera: P is not that of a rectified' in status.message
 
         def good() -> bool:
             cameras.send(next(index), image_pair(1))
