@@ -35,7 +35,7 @@ def test_interrupted_in_the_middle_of_a_frame(
             return bool(inbox.messages)
 
         wait_until(first_came, 'the first disparity')
-        assert node.stop(number) == 0
+        assert node.stop(number) == 0, node.text()
     assert 'Traceback' not in node.text(), node.text()
     assert len(inbox.messages) < next(indices)
 

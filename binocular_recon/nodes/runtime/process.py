@@ -127,11 +127,24 @@ def run_node(
         Exit status: 0 when interrupted, 1 if arguments or parameters are not valid.
 
     """
-    node, interrupted, of_process = None, False, args is None
+    if args is not None:
+        return _run(make_node, args, threads, of_process=False)
+    try:
+        return _run(make_node, sys.argv, threads, of_process=True)
+    except KeyboardInterrupt:  # it was raised after ROS had noticed the signal by itself
+        ignore_signals()
+        leave(0)
+    return 0
+
+
+def _run(
+    make_node: Callable[[], Node], args: Sequence[str], threads: int, *, of_process: bool
+) -> int:
+    node, interrupted = None, False
     try:
         if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
             raise_signals()
-        init_ros(sys.argv if args is None else args)
+        init_ros(args)
         with parameters_checked():
             node = make_node()
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
