@@ -136,6 +136,7 @@ assert ctypes.CDLL(None).capset(header, (ctypes.c_uint32 * 6)()) == 0
 
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='needs capabilities')
+@pytest.mark.long
 def test_a_package_that_cannot_be_written_to_is_used_with_and_without_a_cache(
     tmp_path: Path,
 ) -> None:
@@ -182,6 +183,7 @@ print(outer(), sum(outer.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.long
 def test_a_kernel_is_compiled_again_if_one_of_another_folder_changes(tmp_path: Path) -> None:
     """In a copy of the package, by new processes that share one cache."""
     package = tmp_path / 'binocular_recon'
@@ -216,6 +218,7 @@ print(digest, sum(links.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.long
 def test_compiled_and_loaded_kernels_give_the_same_bits(tmp_path: Path) -> None:
     """Of a kernel that calls another with sums whose order the compiler may choose."""
     package = tmp_path / 'binocular_recon'

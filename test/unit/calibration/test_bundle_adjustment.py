@@ -43,6 +43,8 @@ from test.calibration_tools import (
     truth,
 )
 
+pytestmark = pytest.mark.long
+
 FREE = free_parameters(LENSES['plumb_bob'].DEFAULT_COEFFICIENTS)
 POSE = np.array([3.1, 0.1, -0.2, -1.0, 0.9, 7.0])
 
@@ -149,7 +151,6 @@ def test_the_bound_is_that_of_dense_numerical_derivatives() -> None:
     np.testing.assert_allclose(bound_m(survey_rig(), placed, 0.2), expected, rtol=0.02)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize('placement_m', [0.0, 0.005])
 def test_depth_is_close_to_the_cramer_rao_bound(placement_m: float) -> None:
     """A small part of ``calibrate --self-check``, with its limits."""
@@ -235,7 +236,6 @@ def test_a_single_rod_that_was_knocked_over_does_little_harm() -> None:
     assert np.sqrt(np.mean(errors**2)) < 2.5 * result.depth_sigma_m(15, 0.0)
 
 
-@pytest.mark.long
 def test_two_hundred_boards_are_solved_in_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     """An iteration costs in proportion to the boards, so their number must not add iterations."""
     counts = {'rounds': 0, 'iterations': 0}

@@ -22,6 +22,8 @@ from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import place_board
 from test.calibration_tools import CHESSBOARD, SIZE, board_of, captures_of, solved, truth
 
+pytestmark = pytest.mark.long
+
 VOID = {'meta', 'rect', 'path', 'polyline', 'polygon', 'br', 'img'}
 
 

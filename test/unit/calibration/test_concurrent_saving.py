@@ -18,6 +18,8 @@ from binocular_recon.errors import CalibrationError
 from binocular_recon.io.calibration_yaml import read_rig, write_rig
 from test.bag_tools import rig
 
+pytestmark = pytest.mark.long
+
 KILLS, READERS, RIGS = 2, 4, 7
 FOCAL_PX = 500.0
 SAVER = """

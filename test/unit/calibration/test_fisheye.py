@@ -42,6 +42,8 @@ from test.calibration_tools import (
     numeric_jacobian,
 )
 
+pytestmark = pytest.mark.long
+
 SEEDS = range(4)
 
 
@@ -61,7 +63,6 @@ def points_at_15_m() -> FloatArray:
     return 15.0 * np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize('placement_m', [0.0, 0.005])
 def test_depth_errors_are_as_large_as_predicted(placement_m: float) -> None:
     points, truth = points_at_15_m(), fisheye_truth()
@@ -79,7 +80,6 @@ def test_depth_errors_are_as_large_as_predicted(placement_m: float) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
 
 
-@pytest.mark.long
 @pytest.mark.parametrize('seed', SEEDS)
 def test_stated_sigmas_cover_the_true_rig(seed: int) -> None:
     result = solved_fisheye(0.005, seed)

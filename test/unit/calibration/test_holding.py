@@ -23,6 +23,8 @@ from test.calibration_tools import (
     truth,
 )
 
+pytestmark = pytest.mark.long
+
 BOARD = board_of(0.005)
 
 

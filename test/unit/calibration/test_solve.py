@@ -38,6 +38,8 @@ from test.calibration_tools import (
     truth,
 )
 
+pytestmark = pytest.mark.long
+
 
 def test_chessboard_gives_the_known_result() -> None:
     table = read_points(CHESSBOARD)

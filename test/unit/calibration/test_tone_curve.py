@@ -23,6 +23,8 @@ from test.calibration_tools import (
 )
 from test.rod_images import image_of
 
+pytestmark = pytest.mark.long
+
 TURNS = [-0.6, -0.3, 0.0, 0.2, 0.4, 0.7, -0.5]
 
 

@@ -72,6 +72,7 @@ def calibrate(*args: object) -> int:
     return main(['calibrate', *map(str, args)])
 
 
+@pytest.mark.long
 def test_images_to_a_calibrated_rig(
     images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,6 +103,7 @@ def test_images_to_a_calibrated_rig(
     _check_images((output / 'report.html').read_text(), content)
 
 
+@pytest.mark.long
 def test_an_old_calibration_is_checked_with_new_boards(
     images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -289,6 +291,7 @@ def test_two_images_of_one_side_are_named(tmp_path: Path) -> None:
     assert reading.reason == 'there are 2 left images (left_1.jpg, left_1.png); keep one'
 
 
+@pytest.mark.long
 def test_images_of_another_size_are_left_out(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     for index, rig in enumerate((RIG, RIG, survey_rig(scale=0.4))):

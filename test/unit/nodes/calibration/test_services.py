@@ -18,6 +18,8 @@ from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
 
+pytestmark = pytest.mark.long
+
 RIG, BOARD = survey_rig(scale=0.5), paper_board()
 
 

@@ -22,6 +22,8 @@ from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
 from test.calibration_tools import SIZE, captures_of, solved, wrong_board
 
+pytestmark = pytest.mark.long
+
 BOARD = paper_board()
 
 
