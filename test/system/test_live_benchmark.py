@@ -10,6 +10,7 @@ import pytest
 from binocular_recon.evaluation.speed.live import OFFLINE, LiveOptions, measure
 from binocular_recon.evaluation.speed.live_processes import LiveError, running
 from binocular_recon.evaluation.speed.stages import Size
+from test.system.graph import wait_until
 
 
 def test_contestants_make_clouds_of_the_same_pairs() -> None:
@@ -29,7 +30,7 @@ def test_a_process_that_ends_is_named_with_what_it_said_last(tmp_path: Path) -> 
     code = 'import sys; sys.stdin.readline(); sys.exit("no camera at /dev/video0")'
     with running({'cameras': ['-c', code]}, tmp_path) as processes:
         process = processes['cameras']
-        assert process.usage().memory_mb > 1
+        wait_until(lambda: process.usage().memory_mb > 1, 'the process has begun')
         process.send('rate 1')
         process._process.wait()
         with pytest.raises(LiveError, match=r'^cameras ended with status 1: no camera at /dev/v'):
