@@ -106,6 +106,15 @@ ARGUMENTS = {
 }
 
 
+def _profile(given: dict[str, Any]) -> list[Any]:
+    """Return the action that selects the DDS profile, none if there is one already."""
+    profile = given.get('dds_profile')
+    if not profile or any(name in os.environ for name in PROFILE_VARIABLES):
+        return []
+    older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
+    return [SetEnvironmentVariable(PROFILE_VARIABLES[older], profile)]
+
+
 def generate_launch_description() -> LaunchDescription:
     """Declare the arguments and start the nodes."""
     arguments = dict(ARGUMENTS)
@@ -142,11 +151,7 @@ def _start(context: LaunchContext) -> list[Any]:
     }
     options = _options(given, rectify=switched['rectify'], composed=switched['composed'])
     topics = _topics(given, rectify=switched['rectify'])
-    actions: list[Any] = []
-    profile = given.get('dds_profile')
-    if profile and not any(name in os.environ for name in PROFILE_VARIABLES):
-        older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
-        actions.append(SetEnvironmentVariable(PROFILE_VARIABLES[older], profile))
+    actions = _profile(given)
     namespace = given.get('namespace', '').strip('/')
     for executable, groups in options.items():
         specs = [spec for group in groups for spec in dataclasses.fields(group)]

@@ -8,14 +8,13 @@ process of the cameras needs the same Fast DDS profile.
 from __future__ import annotations
 
 import dataclasses
-import os
 import runpy
 from pathlib import Path
 from typing import Any
 
 import yaml
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 
 from binocular_recon.nodes.runtime.options import InputOptions, RodOptions
@@ -58,8 +57,4 @@ def _start(context: LaunchContext) -> list[Any]:
         parameters=[*files, values],
         output='screen',
     )
-    profile = given.get('dds_profile')
-    if not profile or any(name in os.environ for name in CHAIN['PROFILE_VARIABLES']):
-        return [node]
-    older = os.environ.get('ROS_DISTRO') in ('humble', 'iron', 'jazzy')
-    return [SetEnvironmentVariable(CHAIN['PROFILE_VARIABLES'][older], profile), node]
+    return [*CHAIN['_profile'](given), node]
