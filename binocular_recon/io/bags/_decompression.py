@@ -68,10 +68,14 @@ def unpack_chunk(compression: str, data: bytes, size: int, most: int = MOST_BYTE
     return _unpack(compression, _STREAMS[compression], data, size)
 
 
-def unpack_file(path: Path, target: Path) -> None:
-    """Decompress a file by zstd; raises a BagError if it is damaged, too large or does not fit."""
+def unpack_file(path: Path, folder: Path) -> Path:
+    """Decompress a file by zstd into a folder.
+
+    Raises a BagError if it is damaged, too large or does not fit.
+    """
+    target = folder / path.stem
     most = max(MOST_FILE_BYTES, MOST_FILE_GROWTH * path.stat().st_size)
-    most = min(most, shutil.disk_usage(target.parent).free)
+    most = min(most, shutil.disk_usage(folder).free)
     written = 0
     try:
         with _zstd.open(path, 'rb') as packed, target.open('wb') as file:
@@ -80,13 +84,13 @@ def unpack_file(path: Path, target: Path) -> None:
                 if written > most:
                     raise BagError(
                         f'{path} grows beyond {most} bytes, which is implausible or more than the'
-                        f' disk of {target.parent} holds; decompress it by hand if it is right'
+                        f' disk of {folder} holds; decompress it by hand if it is right'
                     )
     except _ERRORS as error:
         raise BagError(
-            f'{path} cannot be decompressed into {target.parent}: {error}; repair it, or free the'
-            ' disk'
+            f'{path} cannot be decompressed into {folder}: {error}; repair it, or free the disk'
         ) from error
+    return target
 
 
 def _unpack(name: str, stream: Callable[[], Any], data: bytes, most: int) -> bytes:

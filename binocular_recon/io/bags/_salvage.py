@@ -20,7 +20,6 @@ from binocular_recon.io.bags._decompression import (
     ZSTD_MAGIC,
     decompressed_message,
     unpack_chunk,
-    unpack_file,
 )
 from binocular_recon.io.bags._sqlite import scan_tables
 
@@ -102,13 +101,6 @@ def is_compressed(path: Path) -> bool:
             return file.read(4) == ZSTD_MAGIC
     except OSError:
         return False
-
-
-def unpack(path: Path, folder: Path) -> Path:
-    """Decompress a file into a folder; raises a BagError if it is damaged or does not fit."""
-    target = folder / path.stem
-    unpack_file(path, target)
-    return target
 
 
 def check_index(path: Path) -> None:

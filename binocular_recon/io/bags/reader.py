@@ -16,8 +16,9 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from binocular_recon.errors import BagError, plain_text
+from binocular_recon.io.bags._decompression import unpack_file
 from binocular_recon.io.bags._ros1_conversion import Ros1Conversion
-from binocular_recon.io.bags._salvage import check_index, file_format, is_compressed, unpack
+from binocular_recon.io.bags._salvage import check_index, file_format, is_compressed
 from binocular_recon.io.bags._sources import (
     DEFAULT_DEPTH,
     DamagedSource,
@@ -211,7 +212,7 @@ class Bag(AbstractContextManager['Bag']):
                 f'{path} is not a regular file; give a file or folder that was recorded'
             )
         if is_compressed(path):
-            path = unpack(path, self._temporary_folder())
+            path = unpack_file(path, self._temporary_folder())
         kind = file_format(path)
         if kind == 'sqlite3':
             return self._open_sqlite(path)
