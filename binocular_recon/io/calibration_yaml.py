@@ -37,11 +37,15 @@ def read_camera(path: Path, *, rectified: bool = False) -> Camera:
         path.
 
     """
-    values = camera_values(SourceFile(path).content, path)
+    return _camera(SourceFile(path), rectified=rectified)
+
+
+def _camera(file: SourceFile, *, rectified: bool = False) -> Camera:
+    values = camera_values(file.content, file.path)
     try:
         return camera_of_image(*values, rectified=rectified)
     except CalibrationError as error:
-        raise CalibrationError(f'{path}: {error}') from error
+        raise CalibrationError(f'{file.path}: {error}') from error
 
 
 def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
@@ -73,8 +77,9 @@ def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
 
 
 def _own_rig(folder: Path, paths: list[Path], *, rectified: bool) -> StereoRig:
-    cameras = [read_camera(path, rectified=rectified) for path in paths]
-    left, right = (SourceFile(path).content.get(_ID, 'none') for path in paths)
+    files = [SourceFile(path) for path in paths]
+    cameras = [_camera(file, rectified=rectified) for file in files]
+    left, right = (file.content.get(_ID, 'none') for file in files)
     if left != right:
         raise CalibrationError(
             f'{paths[0]} and {paths[1].name} are of two calibrations ({_ID} {left} and {right});'
@@ -83,7 +88,7 @@ def _own_rig(folder: Path, paths: list[Path], *, rectified: bool) -> StereoRig:
     json = _newest(folder, 'calibration.json')
     if any(camera.notices for camera in cameras) and rectified:  # K or D cannot be used
         return StereoRig(*cameras)
-    covariance = read_covariance(json, *(read_camera(path) for path in paths))
+    covariance = read_covariance(json, *(_camera(file) for file in files))
     return StereoRig(*cameras, covariance=covariance)
 
 

@@ -19,11 +19,6 @@ from typing import BinaryIO
 
 from binocular_recon.errors import FileError
 
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
-
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # What a process that was killed leaves of files that were not complete.
 _PART = re.compile(r'\.(.+\.)?\d+\.part')
@@ -195,20 +190,19 @@ def _signals_deferred() -> Iterator[None]:
 
 @contextlib.contextmanager
 def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
-    """Wait for the lock of a folder and hold it; nothing where the system has no such locks.
+    """Wait for the lock of a folder and hold it; nothing where its file system has no locks.
 
     Other processes and threads that lock the folder wait meanwhile, those that share it only for
     one that does not. The lock of a process that dies is free.
     """
     try:
-        handle = os.open(folder, os.O_RDONLY | getattr(os, 'O_DIRECTORY', 0))
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError:  # it is not a folder, or one that cannot be opened
         yield
         return
     try:
-        if fcntl is not None:
-            with contextlib.suppress(OSError):  # a network file system without locks
-                fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        with contextlib.suppress(OSError):  # a network file system without locks
+            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
         yield
     finally:
         os.close(handle)
