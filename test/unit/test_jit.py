@@ -183,27 +183,38 @@ print(outer(), sum(outer.stats.cache_hits.values()))
 """
 
 
+def copy_package(folder: Path) -> Path:
+    """Copy the package without caches into a folder."""
+    package = folder / 'binocular_recon'
+    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
+    return package
+
+
+def run_copy(folder: Path, code: str) -> list[str]:
+    """Run code by a new process with the copied package and its cache; return what it prints."""
+    done = subprocess.run(
+        [sys.executable, '-c', code],
+        cwd=folder,
+        env={**os.environ, 'NUMBA_CACHE_DIR': str(folder / 'cache')},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
 @pytest.mark.long
 def test_a_kernel_is_compiled_again_if_one_of_another_folder_changes(tmp_path: Path) -> None:
     """In a copy of the package, by new processes that share one cache."""
-    package = tmp_path / 'binocular_recon'
-    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
+    package = copy_package(tmp_path)
     (package / 'calibration' / '_crossing_kernels.py').write_text(CROSSING)
     inner = package / 'stereo' / 'holes' / '_probe_kernels.py'
     printed = []
     for value in (1, 22, 22):
         inner.write_text(INNER.format(value))
         os.utime(inner, (value, value))
-        done = subprocess.run(
-            [sys.executable, '-c', RUN],
-            cwd=tmp_path,
-            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        printed.append(done.stdout.strip())
-    assert printed == ['1 0', '22 0', '22 1']
+        printed.append(run_copy(tmp_path, RUN))
+    assert printed == [['1', '0'], ['22', '0'], ['22', '1']]
 
 
 LINKS = """
@@ -221,19 +232,8 @@ print(digest, sum(links.stats.cache_hits.values()))
 @pytest.mark.long
 def test_compiled_and_loaded_kernels_give_the_same_bits(tmp_path: Path) -> None:
     """Of a kernel that calls another with sums whose order the compiler may choose."""
-    package = tmp_path / 'binocular_recon'
-    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=NO_CACHES)
-    compiled, loaded = (
-        subprocess.run(
-            [sys.executable, '-c', LINKS],
-            cwd=tmp_path,
-            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        for _ in range(2)
-    )
+    copy_package(tmp_path)
+    compiled, loaded = run_copy(tmp_path, LINKS), run_copy(tmp_path, LINKS)
     assert [compiled[1], loaded[1]] == ['0', '1']
     assert compiled[0] == loaded[0]
 
