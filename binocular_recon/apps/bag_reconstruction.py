@@ -189,6 +189,7 @@ def _reconstruct(
                 continue
             if chain is None:
                 _prepare(config, report)
+                progress.restart_clock()
             if chain is None or pair.rig is not rig:
                 chain = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha)
                 if before and pair.rig is rig:

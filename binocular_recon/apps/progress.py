@@ -31,9 +31,8 @@ class ProgressBar:
 
     def __init__(self, total: int, unit: str, before: int = 0) -> None:
         self._total, self._unit, self._before = max(1, total), unit, before
-        self._start = time.monotonic()
         self._visible = sys.stderr.isatty()
-        self._next_s = 0.0
+        self.restart_clock()
 
     def __enter__(self) -> ProgressBar:  # noqa: PYI034 - Self is newer than Python 3.10
         """Draw the empty bar."""
@@ -44,6 +43,11 @@ class ProgressBar:
         """Remove the bar."""
         if self._visible:
             print(end='\r\033[K', file=sys.stderr, flush=True)
+
+    def restart_clock(self) -> None:
+        """Estimate the time left from now on: what was done until here is done once."""
+        self._start = time.monotonic()
+        self._next_s = 0.0 if self._visible else self._start + PLAIN_PERIOD_S
 
     def show(self, done: int, note: str = '') -> None:
         """Draw the bar with ``done`` finished steps, and ``note`` after it."""

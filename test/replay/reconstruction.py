@@ -6,6 +6,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from binocular_recon.cli.main import main
 from test.bag_tools import (
     HEIGHT,
@@ -23,6 +25,12 @@ RANGE = ['--disparity-range', '16']
 
 def reconstruct(bag: Path, output: Path, *words: str) -> int:
     return main(['reconstruct', str(bag), '--output', str(output), *RANGE, *words])
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what stderr got, without the notice that the first run compiled the kernels."""
+    lines = capsys.readouterr().err.splitlines(keepends=True)
+    return ''.join(line for line in lines if not line.startswith('kernels compiled in '))
 
 
 def frames_of(output: Path) -> int:

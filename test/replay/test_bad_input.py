@@ -21,7 +21,7 @@ from test.bag_tools import (
     stereo_records,
     write_bag,
 )
-from test.replay.reconstruction import frames_of, reconstruct, unsynchronised, wrong_size
+from test.replay.reconstruction import frames_of, reconstruct, said, unsynchronised, wrong_size
 
 
 def missing(folder: Path) -> Path:
@@ -99,7 +99,7 @@ def test_input_without_a_single_frame_is_one_line_and_status_1(
 ) -> None:
     bag = make(tmp_path)
     assert reconstruct(bag, tmp_path / 'out') == 1
-    text = capsys.readouterr().err
+    text = said(capsys)
     assert text.startswith('binocular-recon reconstruct: ')
     assert text.count('\n') == 1
     assert message in text

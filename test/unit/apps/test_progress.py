@@ -43,3 +43,18 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(
         '20 of 40 frames, 20 s left',
         '30 of 40 frames, 10 s left',
     ]
+
+
+def test_what_is_done_once_does_not_lengthen_the_time_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, now_s = io.StringIO(), 0.0
+    monkeypatch.setattr(sys, 'stderr', stream)
+    monkeypatch.setattr('time.monotonic', lambda: now_s)
+    with ProgressBar(31, 'frames') as bar:
+        now_s = 30.0  # kernels are compiled
+        bar.restart_clock()
+        for done in range(1, 12):
+            now_s += 1.0
+            bar.show(done)
+    assert stream.getvalue() == '10 of 31 frames, 21 s left\n'
