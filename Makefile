@@ -25,7 +25,7 @@ help: ## this list
 	@echo 'PYTHON=python3.12 selects the interpreter (CPython 3.10 to 3.13).'
 
 setup: ## .venv with ROS 2, this package and the developers' tools
-	@$(INSTALL) .venv runtime ros-kilted test dev
+	@$(INSTALL) .venv runtime ros-kilted extras test dev
 
 runtime:
 	@$(INSTALL) .venv runtime
@@ -63,7 +63,7 @@ suites: unit kernels colcon
 	$(PYTEST) --done test/unit
 else
 jazzy-environment:
-	@$(INSTALL) .venv-jazzy oldest ros-jazzy test
+	@$(INSTALL) .venv-jazzy oldest ros-jazzy oldest-extras test
 	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
 	    echo "CPython 3.13: with the oldest versions that have wheels for it, not Ubuntu 24.04's"
 

@@ -91,7 +91,13 @@ def arguments() -> dict[str, Any]:
             'rosbags>=0.11.9,<0.12',
             'scipy>=1.11.4',
         ],
-        'extras_require': {'test': ['packaging', 'pytest', 'pytest-timeout']},
+        'extras_require': {
+            'e57': ['pye57>=0.4.13,<0.5'],
+            'onnx': ['onnxruntime>=1.20'],
+            'survey': ['laspy[lazrs]>=2.5.4,<3', 'pyproj>=3.6.1,<4'],
+            'video': ['av>=12'],
+            'test': ['packaging', 'pytest', 'pytest-timeout'],
+        },
         'zip_safe': False,
         'entry_points': {
             'console_scripts': [

@@ -16,16 +16,20 @@ import sys
 import tempfile
 from collections import defaultdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).resolve().parent
 # What ROS has wheels for. The hashes are those of all machines.
 PLATFORM = 'x86_64-manylinux_2_28'
+_EXTRAS = 'extras_require'
 
-# Lock file: what it holds, and the lock files whose versions it must agree with.
+# Lock file: what it holds ('.' is what setup.py requires, '.[]' its extras for users), and the
+# lock files whose versions it must agree with.
 LOCKS: dict[str, tuple[list[str], list[str]]] = {
     'runtime': (['.', 'runtime.in'], []),
     'oldest': (['.', 'runtime.in', '-c', 'oldest.in'], []),
+    'extras': (['.[]', 'extras.in'], ['runtime']),
+    'oldest-extras': (['.[]', 'extras.in'], ['oldest']),
     'ros-kilted': (['ros-kilted.in'], ['runtime']),
     'ros-jazzy': (['ros-jazzy.in'], ['oldest']),
     'test': (['test.in'], ['runtime']),
@@ -47,16 +51,17 @@ class Pin(NamedTuple):
 Pins = dict[str, Pin]
 
 
-def ranges() -> list[str]:
-    """Return what ``setup.py`` requires."""
+def ranges() -> dict[str, list[str]]:
+    """Return what ``setup.py`` requires ('.'), and what its extras for users do ('.[]')."""
     tree = ast.parse((FOLDER.parent / 'setup.py').read_text(encoding='utf-8'))
+    found: dict[str, Any] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):
-                if isinstance(key, ast.Constant) and key.value == 'install_requires':
-                    found: list[str] = ast.literal_eval(value)
-                    return found
-    raise AssertionError('setup.py has no install_requires')
+                if isinstance(key, ast.Constant) and key.value in ('install_requires', _EXTRAS):
+                    found[key.value] = ast.literal_eval(value)
+    extras = [one for name, each in found[_EXTRAS].items() for one in each if name != 'test']
+    return {'.': found['install_requires'], '.[]': extras}
 
 
 def resolve(uv: str, minor: str, requirements: list[str]) -> Pins:
@@ -82,15 +87,21 @@ def resolve(uv: str, minor: str, requirements: list[str]) -> Pins:
 def lock(uv: str, minor: str) -> dict[str, Pins]:
     """Return the pins of each lock file under CPython ``minor``."""
     locked: dict[str, Pins] = {}
+    required = ranges()
     for name, (requirements, others) in LOCKS.items():
         print(f'  {name}', flush=True)
         known = {package: pin for other in others for package, pin in locked[other].items()}
         with tempfile.TemporaryDirectory() as folder:
             constraints = Path(folder, 'known.txt')
             constraints.write_text(''.join(f'{p}=={pin.version}\n' for p, pin in known.items()))
-            project = Path(folder, 'project.in')
-            project.write_text('\n'.join(ranges()))
-            given = [str(project) if word == '.' else word for word in requirements]
+            given: list[str] = []
+            for word in requirements:
+                if word in required:
+                    project = Path(folder, f'{len(given)}.in')
+                    project.write_text('\n'.join(required[word]))
+                    given.append(str(project))
+                else:
+                    given.append(word)
             locked[name] = resolve(uv, minor, [*given, '-c', str(constraints)])
     return locked
 

@@ -233,6 +233,19 @@ def test_locks_fit_the_ranges(name: str, python: str) -> None:
         assert requirement.specifier.contains(pins[requirement.name.lower()])
 
 
+@pytest.mark.parametrize('python', PYTHONS)
+@pytest.mark.parametrize('name', ['extras', 'oldest-extras'])
+def test_locks_of_the_extras_fit_their_ranges(name: str, python: str) -> None:
+    base = 'oldest' if name.startswith('oldest') else 'runtime'
+    pins, others = locked(name, python), locked(base, python)
+    listed = map(Requirement, INSTALLED.requires or [])
+    users = [r for r in listed if r.marker and not r.marker.evaluate({'extra': 'test'})]
+    assert {r.name for r in users} == {'av', 'laspy', 'onnxruntime', 'pye57', 'pyproj'}
+    for requirement in users:
+        assert requirement.specifier.contains(pins[requirement.name])
+    assert pins['numpy'] == others['numpy']
+
+
 @pytest.mark.parametrize('python', PYTHONS[:3])
 def test_oldest_lock_is_of_the_oldest_in_range(python: str) -> None:
     pins = locked('oldest', python)
