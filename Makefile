@@ -83,8 +83,8 @@ unit-suites:
 	@$(MAKE) --no-print-directory colcon
 
 node-suites:
-	@echo 'system tests with ROS 2 Jazzy, then all but unit tests with Kilted'
-	.venv-jazzy/bin/python -m pytest -q test/system || \
+	@echo 'system tests but the long ones with ROS 2 Jazzy, then all but unit tests with Kilted'
+	.venv-jazzy/bin/python -m pytest -q test/system -m 'not long' || \
 	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
 	@$(MAKE) --no-print-directory kernels
 	$(PYTEST) --done test/unit

@@ -17,6 +17,8 @@ from test.system.calibration_crew import BOARD, NODE, Operator, simulated
 from test.system.conftest import StartNode
 from test.system.graph import Graph, NodeProcess, wait_until
 
+pytestmark = pytest.mark.long
+
 
 def test_rods_that_move_are_not_captured(
     graph: Graph, start_node: StartNode, tmp_path: Path

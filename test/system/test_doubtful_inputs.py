@@ -31,6 +31,8 @@ from test.system.rig import (
     raw_rig,
 )
 
+pytestmark = pytest.mark.long
+
 MATCH = '/rig/match_node'
 RIG = Rectifier(raw_rig()).rig
 IMAGES = Rectifier(raw_rig())(*image_pair(6))

@@ -38,6 +38,8 @@ from test.system.rig import (
     raw_rig,
 )
 
+pytestmark = pytest.mark.long
+
 CONFIG = MatchConfig(min_disparity=-32, disparity_range=88)
 WLS: tuple[str, type[DisparityImage]] = ('/rig/disparity_wls', DisparityImage)
 KINDS: dict[str, type[Any]] = {

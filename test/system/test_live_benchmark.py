@@ -12,6 +12,8 @@ from binocular_recon.evaluation.speed.live_processes import LiveError, running
 from binocular_recon.evaluation.speed.stages import Size
 from test.system.graph import wait_until
 
+pytestmark = pytest.mark.long
+
 
 def test_contestants_make_clouds_of_the_same_pairs() -> None:
     said: list[str] = []

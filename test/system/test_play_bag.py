@@ -22,6 +22,8 @@ from binocular_recon.io.bags.writer import BagWriter
 from test.bag_tools import START_NS, info_message, rig, stereo_records, write_bag
 from test.system.graph import Graph, executable, wait_until
 
+pytestmark = pytest.mark.long
+
 QOS = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 TYPES = {'image_raw': Image, 'camera_info': CameraInfo}
 TOPICS = [f'/{side}/{name}' for side in ('left', 'right') for name in TYPES]

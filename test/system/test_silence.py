@@ -15,6 +15,8 @@ from test.system.conftest import StartNode
 from test.system.graph import Graph, wait_until
 from test.system.rig import CameraPair, header, image_pair, info_message, raw_rig
 
+pytestmark = pytest.mark.long
+
 REMAPS = {f'{side}/camera_info': f'{side}/camera_info_rect' for side in ('left', 'right')}
 DISPARITY: tuple[str, type[DisparityImage]] = ('/rig/disparity', DisparityImage)
 

@@ -51,7 +51,7 @@ def start_fisheye(
 
     """
     K, _ = fisheye_guess(points, pixels, image_size, lens)
-    poses = [_pose(points, board, K, lens) for board in pixels]
+    poses = [_pose(points, rays) for rays in _rays(pixels, K, lens)]
     found = [pose for pose in poses if pose is not None]
     if len(found) < len(poses):
         raise CalibrationError(
@@ -114,11 +114,8 @@ def _rays(pixels: FloatArray, K: FloatArray, lens: Lens) -> FloatArray:
     return np.where(far, np.nan, rays)
 
 
-def _pose(
-    points: FloatArray, board: FloatArray, K: FloatArray, lens: Lens
-) -> tuple[FloatArray, FloatArray] | None:
+def _pose(points: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return rotation and translation of a board, None if there are none in front."""
-    rays = _rays(board, K, lens)
     seen = np.isfinite(rays).all(axis=-1)
     if seen.sum() < _LEAST_MARKS:
         return None
@@ -136,12 +133,11 @@ def _pose(
 def _errors(points: FloatArray, pixels: FloatArray, K: FloatArray, lens: Lens) -> FloatArray:
     """Return the root mean square distance of each board's marks from where its pose has them."""
     errors = np.full(len(pixels), np.inf)
-    for index, board in enumerate(pixels):
-        pose = _pose(points, board, K, lens)
-        if pose is not None:
-            local = points @ pose[0].T + pose[1]
-            rays = local[:, :2] / local[:, 2:]
-            expected = lens.pixels(rays, K, _no_distortion(lens))
-            squares = np.sum((expected - board) ** 2, axis=-1)
-            errors[index] = np.sqrt(np.nanmean(squares))
+    poses = [_pose(points, rays) for rays in _rays(pixels, K, lens)]
+    posed = [index for index, pose in enumerate(poses) if pose is not None]
+    if posed:
+        local = np.stack([points @ pose[0].T + pose[1] for pose in poses if pose is not None])
+        expected = lens.pixels(local[..., :2] / local[..., 2:], K, _no_distortion(lens))
+        squares = np.sum((expected - pixels[posed]) ** 2, axis=-1)
+        errors[posed] = np.sqrt(np.nanmean(squares, axis=-1))
     return errors

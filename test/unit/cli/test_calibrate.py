@@ -53,7 +53,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     for index, capture in enumerate(taken[:5]):
         save(f'{index}', capture.left, capture.right)
-    save('blurred', *(cv2.blur(image, (9, 9)) for image in (taken[5].left, taken[5].right)))
+    save('blurred', *(cv2.blur(image, (41, 41)) for image in (taken[5].left, taken[5].right)))
     save('moved', taken[5].left, taken[6].right)
     save('swapped', taken[7].right, taken[7].left)
     (folder / 'left_5.png').write_bytes(b'not an image')
