@@ -102,7 +102,7 @@ def arguments() -> dict[str, Any]:
         'entry_points': {
             'console_scripts': [
                 f'binocular-recon = {PACKAGE}.cli.main:main',
-                f'play_bag = {PACKAGE}.cli.play:main',
+                f'play_bag = {PACKAGE}.cli.clouds.play:main',
                 *(f'{node} = {PACKAGE}.nodes.executables:{node}' for node in NODES),
             ],
         },

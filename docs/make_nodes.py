@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from binocular_recon.cli import play
+from binocular_recon.cli.clouds import play
 from binocular_recon.config import PRESETS
 from binocular_recon.nodes.registry import node_class, node_names
 from binocular_recon.nodes.runtime.base_node import BaseNode

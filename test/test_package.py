@@ -172,7 +172,7 @@ def test_executables_are_the_nodes_and_the_command_line() -> None:
     assert {'rectify_node', 'match_node', 'wls_filter_node', 'calibration_node'} <= set(mains)
     commands = {
         'binocular-recon': 'binocular_recon.cli.main:main',
-        'play_bag': 'binocular_recon.cli.play:main',
+        'play_bag': 'binocular_recon.cli.clouds.play:main',
     }
     assert declared == mains | commands
 

@@ -23,21 +23,30 @@ from binocular_recon.errors import BinocularReconError, ConfigError, plain_text
 # The program's name in all messages, however it was started.
 PROGRAM = 'binocular-recon'
 
-# Name and summary of each command. Its module in this package has the same name, with _ for -,
-# and two functions: add_arguments(parser) and run(args). Only the module of the command that is
-# run is imported.
+# Room and summary of each command. Its module in the room has the same name, with _ for -, and two
+# functions: add_arguments(parser) and run(args). Only the module of the command that is run is
+# imported.
 COMMANDS = {
-    'demo': 'run the whole chain on a real image pair that ships with the project',
-    'reconstruct': 'turn a stereo bag into point clouds and disparity maps',
-    'match': 'compute the dense disparity of one rectified pair of image files',
-    'play': 'publish a bag on ROS 2 topics',
-    'calibrate': 'calibrate a stereo rig from images of rods or points of a flat target',
-    'import-calibration': "read another program's calibration: OpenCV, Kalibr, mrcal and others",
-    'simulate': 'simulate images of rods, or a survey scene as a bag, with ground truth',
-    'paper': 'repeat the paper on simulated sites: its Tables 1, 2 and 3 beside ours',
-    'evaluate': "measure accuracy on scenes with ground truth, against OpenCV's matchers",
-    'warm-up': 'compile and keep the kernels, so that the first start is quick',
-    'benchmark': 'measure speed and memory of every stage, against its peers',
+    'demo': ('clouds', 'run the whole chain on a real image pair that ships with the project'),
+    'reconstruct': ('clouds', 'turn a stereo bag into point clouds and disparity maps'),
+    'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
+    'play': ('clouds', 'publish a bag on ROS 2 topics'),
+    'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),
+    'import-calibration': (
+        'rigs',
+        "read another program's calibration: OpenCV, Kalibr, mrcal and others",
+    ),
+    'simulate': (
+        'quality',
+        'simulate images of rods, or a survey scene as a bag, with ground truth',
+    ),
+    'paper': ('quality', 'repeat the paper on simulated sites: its Tables 1, 2 and 3 beside ours'),
+    'evaluate': (
+        'quality',
+        "measure accuracy on scenes with ground truth, against OpenCV's matchers",
+    ),
+    'warm-up': ('quality', 'compile and keep the kernels, so that the first start is quick'),
+    'benchmark': ('quality', 'measure speed and memory of every stage, against its peers'),
 }
 
 _MOST_OPTIONS = 1000
@@ -121,7 +130,8 @@ def _command(argv: Sequence[str]) -> str:
 
 def command_module(name: str) -> ModuleType:
     """Import the module of a command."""
-    return importlib.import_module(f'binocular_recon.cli.{name.replace("-", "_")}')
+    room, _ = COMMANDS[name]
+    return importlib.import_module(f'binocular_recon.cli.{room}.{name.replace("-", "_")}')
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
@@ -134,7 +144,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument('--version', action='version', version=f'{PROGRAM} {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     chosen = _command(argv)
-    for name, summary in COMMANDS.items():
+    for name, (_, summary) in COMMANDS.items():
         command = commands.add_parser(
             name, help=summary, description=summary[0].upper() + summary[1:] + '.'
         )

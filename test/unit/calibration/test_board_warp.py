@@ -17,7 +17,7 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import warnings_of
 from binocular_recon.camera import FloatArray
-from binocular_recon.cli.calibrate import summary
+from binocular_recon.cli.rigs.calibrate import summary
 from binocular_recon.rotations import rotation
 from test.calibration_tools import (
     CHESSBOARD,

@@ -24,7 +24,7 @@ from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
-from binocular_recon.cli.calibrate import summary
+from binocular_recon.cli.rigs.calibrate import summary
 from binocular_recon.nodes.calibration.steps import describe_result
 from test.calibration_tools import (
     CHESSBOARD,

@@ -37,13 +37,13 @@ def test_every_command_has_a_module_with_both_functions() -> None:
 def test_a_command_is_one_entry_and_one_module(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    module = types.ModuleType('binocular_recon.cli.say_twice')
+    module = types.ModuleType('binocular_recon.cli.clouds.say_twice')
     vars(module).update(
         add_arguments=lambda parser: parser.add_argument('word', help='word to print'),
         run=lambda args: sys.stdout.write(f'{args.word} {args.word}\n'),
     )
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(cli.COMMANDS, 'say-twice', 'print a word twice')
+    monkeypatch.setitem(cli.COMMANDS, 'say-twice', ('clouds', 'print a word twice'))
     assert main(['say-twice', 'rod']) == 0
     assert capsys.readouterr().out == 'rod rod\n'
     with pytest.raises(SystemExit, match='0'):
@@ -186,7 +186,7 @@ def test_excluded_options_are_not_flags() -> None:
 def test_errors_become_one_line_and_a_status(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from binocular_recon.cli import play
+    from binocular_recon.cli.clouds import play
     from binocular_recon.errors import BagError
 
     for error, status, line in (
@@ -219,7 +219,7 @@ def test_errors_become_one_line_and_a_status(
 def test_a_closed_pipe_ends_the_command_without_a_message() -> None:
     script = (
         'import sys\n'
-        'from binocular_recon.cli import main, play\n'
+        'from binocular_recon.cli import main\nfrom binocular_recon.cli.clouds import play\n'
         'play.run = lambda args: print("x" * 1_000_000)\n'
         'sys.exit(main.main(["play", "bag"]))\n'
     )

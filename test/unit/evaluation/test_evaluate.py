@@ -176,7 +176,7 @@ def test_interrupted_evaluation_reports_what_is_finished(
             raise KeyboardInterrupt
         return read_scene(folder)
 
-    monkeypatch.setattr('binocular_recon.cli.evaluate.read_scene', read_until_square)
+    monkeypatch.setattr('binocular_recon.cli.quality.evaluate.read_scene', read_until_square)
     output = tmp_path / 'out'
     arguments = ['evaluate', str(scenes), '--output', str(output), '--presets', 'default']
     assert main([*arguments, '--no-peers', '--repeat', '1']) == 130

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binocular_recon.cli import paper as command
 from binocular_recon.cli.main import main
+from binocular_recon.cli.quality import paper as command
 from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.paper import runs as paper
 from binocular_recon.evaluation.paper.runs import FailedRun, PaperRun, detected_captures

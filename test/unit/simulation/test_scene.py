@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from binocular_recon.cli import simulate
 from binocular_recon.cli.main import main
+from binocular_recon.cli.quality import simulate
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.simulation.render import Sensor

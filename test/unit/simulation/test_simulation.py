@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from binocular_recon.calibration.target.rods import RodBoard, load_rods
-from binocular_recon.cli import simulate
+from binocular_recon.cli.quality import simulate
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture, visible_marks
 from binocular_recon.simulation.clutter import KINDS, paint
