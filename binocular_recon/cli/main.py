@@ -32,6 +32,7 @@ COMMANDS = {
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),
+    'rods-plan': ('rigs', 'draw the rods of rods.yaml to scale, to make them and put them up'),
     'import-calibration': (
         'rigs',
         "read another program's calibration: OpenCV, Kalibr, mrcal and others",
