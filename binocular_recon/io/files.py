@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write files that are either complete or absent."""
+"""Write files that are either complete or absent.
+
+What is not complete yet is a part: a hidden file or folder, locked by the process that writes it.
+A part that nobody locks was left by one that was killed.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import fcntl
 import json
 import os
 import re
+import secrets
 import shutil
 import signal
 import threading
@@ -20,8 +25,11 @@ from typing import BinaryIO
 from binocular_recon.errors import FileError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-# What a process that was killed leaves of files that were not complete.
-_PART = re.compile(r'\.(.+\.)?\d+\.part')
+_PART = re.compile(r'\.(.+\.)?[0-9a-f]{8}\.part')
+_NOW = fcntl.LOCK_EX | fcntl.LOCK_NB
+# Locked by the process that writes to a folder; not the folder itself, which `locked` locks for
+# moments.
+_CLAIM = '.claim'
 
 
 def make_folder(path: Path) -> None:
@@ -47,33 +55,91 @@ class ClaimedFolder:
     Raises
     ------
     FileError
-        If the folder cannot be made, or another process writes to it.
+        If the folder cannot be made or written to, or another process writes to it.
 
     """
 
     def __init__(self, path: Path) -> None:
         make_folder(path)
-        handle = os.open(path, os.O_RDONLY)
-        self.release = weakref.finalize(self, os.close, handle)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            claim, handle = _held(lambda: path / _CLAIM, os.O_RDWR | os.O_CREAT)
         except BlockingIOError:
             raise FileError(
                 f'another process writes to {path}; wait until it is done or choose another folder'
             ) from None
+        except OSError as error:
+            raise _failure(path, error) from error
+        self.release = weakref.finalize(self, _let_go, claim, handle)
+        remove_abandoned(path)
+
+
+def _held(path: Callable[[], Path], flags: int) -> tuple[Path, int]:
+    """Open and lock a file or folder; return its path and the handle that holds the lock.
+
+    Raises a BlockingIOError if another process or thread holds it. Where the file system has no
+    locks, nothing is locked.
+    """
+    while True:
+        place = path()
+        handle = os.open(place, flags | os.O_NOFOLLOW, 0o666)
+        try:
+            fcntl.flock(handle, _NOW)
+            if os.path.samestat(os.fstat(handle), place.stat()):
+                return place, handle
+        except FileNotFoundError:  # the one before, or who took it for abandoned, removed it
+            pass
+        except BlockingIOError:
+            os.close(handle)
+            raise
         except OSError:  # a network file system without locks
-            return
-        for part in path.iterdir():
-            if _PART.fullmatch(part.name):
-                _remove(part)
+            return place, handle
+        os.close(handle)
 
 
-def _remove(part: Path) -> None:
-    """Remove a file or a folder, if that is possible."""
-    if part.is_dir():
-        shutil.rmtree(part, ignore_errors=True)
+def _let_go(path: Path, handle: int) -> None:
+    """Remove what `_held` returned, if that is possible, and unlock it."""
+    _remove(path)
+    os.close(handle)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
     with contextlib.suppress(OSError):
-        part.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove the parts that nobody writes any more."""
+    for part in folder.iterdir():
+        if _PART.fullmatch(part.name):
+            with contextlib.suppress(OSError):
+                handle = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+                try:
+                    fcntl.flock(handle, _NOW)
+                    _remove(part)
+                finally:
+                    os.close(handle)
+
+
+def _new_part(folder: Path, name: str = '') -> Path:
+    return folder / f'.{name}{"." if name else ""}{secrets.token_hex(4)}.part'
+
+
+@contextlib.contextmanager
+def part_folder(folder: Path) -> Iterator[Path]:
+    """Make a folder in a folder to write files to; what is left in it at the end is removed."""
+
+    def make() -> Path:
+        part = _new_part(folder)
+        part.mkdir()
+        return part
+
+    part, handle = _held(make, os.O_RDONLY)
+    try:
+        yield part
+    finally:
+        _let_go(part, handle)
 
 
 @contextlib.contextmanager
@@ -99,22 +165,24 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
         If the file cannot be written.
 
     """
-    part = path.with_name(f'.{path.name}.{os.getpid()}.part')
     try:
         if path.exists() and not path.is_file():  # a device or a pipe is not replaced by a file
             with path.open('wb') as file:
                 yield file
             return
-        with part.open('wb') as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+        part, handle = _held(lambda: _new_part(path.parent, path.name), flags)
+        try:
+            with open(handle, 'wb', closefd=False) as file:
+                yield file
+            os.fsync(handle)
+            part.replace(path)
+        finally:
+            _let_go(part, handle)
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f'{path} cannot be written: {_reason(error)}; {_remedy(error)}') from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -142,27 +210,21 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
         If a folder or file cannot be written.
 
     """
-    parts = folder / f'.{os.getpid()}.part'
-    _remove(parts)  # in a container every process may have the number of one that was killed
-    make_folder(parts)
     try:
-        yield parts
-        complete = sorted(parts.iterdir())
-        for part in complete:
-            flush(part)
-        with _signals_deferred():
+        with part_folder(folder) as parts:
+            yield parts
+            complete = sorted(parts.iterdir())
             for part in complete:
-                part.replace(folder / part.name)
-            flush(folder)
-            completed()
+                flush(part)
+            with _signals_deferred():
+                for part in complete:
+                    part.replace(folder / part.name)
+                flush(folder)
+                completed()
     except FileError:
         raise
     except OSError as error:
-        raise FileError(
-            f'{folder} cannot be written to: {_reason(error)}; {_remedy(error)}'
-        ) from error
-    finally:
-        shutil.rmtree(parts, ignore_errors=True)
+        raise _failure(folder, error) from error
 
 
 @contextlib.contextmanager
@@ -221,6 +283,10 @@ def write_json(path: Path, value: object) -> None:
     """Write ``value`` as indented JSON; raises a FileError if the file cannot be written."""
     with complete_file(path) as file:
         file.write(json.dumps(value, indent=2, allow_nan=False).encode() + b'\n')
+
+
+def _failure(folder: Path, error: OSError) -> FileError:
+    return FileError(f'{folder} cannot be written to: {_reason(error)}; {_remedy(error)}')
 
 
 def _reason(error: OSError) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -20,6 +21,7 @@ from test.bag_tools import (
     stereo_records,
     write_bag,
 )
+from test.full_disk import largest_file
 from test.replay.reconstruction import RANGE, frames_of, reconstruct, wrong_size
 
 
@@ -32,25 +34,25 @@ def test_an_output_that_cannot_be_written(
     assert 'file/out cannot be made: Not a directory; choose another' in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+@pytest.mark.parametrize('format_name', list(FRAME_FORMATS))
 def test_a_full_disk_keeps_the_finished_frames(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    format_name: str,
 ) -> None:
     bag, output = write_bag(tmp_path / 'bag', stereo_records(3)), tmp_path / 'out'
     assert reconstruct(bag, output) == 0
     old = (output / '000001.ply').read_bytes(), (output / '000002.ply').read_bytes()
-
-    write = FRAME_FORMATS['cloud'].write
+    spec = FRAME_FORMATS[format_name]
 
     def find_no_space(path: Path, *arguments: Any) -> object:
-        if path.name == '000001.ply':
-            path.with_name(f'.{path.name}.{os.getpid()}.part').symlink_to('/dev/full')
-        return write(path, *arguments)
+        with largest_file(100) if path.name.startswith('000001') else contextlib.nullcontext():
+            return spec.write(path, *arguments)
 
-    cloud = FRAME_FORMATS['cloud']._replace(write=find_no_space)
-    monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
-    assert reconstruct(bag, output, '--no-resume') == 1
-    assert 'No space left on device; free some space' in capsys.readouterr().err
+    monkeypatch.setitem(FRAME_FORMATS, format_name, spec._replace(write=find_no_space))
+    assert reconstruct(bag, output, '--no-resume', '--drawings') == 1
+    assert 'File too large; free some space' in capsys.readouterr().err
     summary = json.loads((output / 'summary.json').read_text())
     assert (len(summary['frames']), summary['finished']) == (1, False)
     # what an earlier run had made is kept

@@ -271,9 +271,9 @@ def test_two_runs_do_not_write_to_one_folder(
     assert reconstruct(bag, tmp_path) == 1
     assert f'another process writes to {tmp_path}; wait until it is' in capsys.readouterr().err
     claim.release()
-    (tmp_path / f'.{os.getpid()}.part').mkdir()  # of a process that was killed
-    (tmp_path / f'.{os.getpid()}.part' / '000009.ply').write_text('cut')
-    (tmp_path / '.summary.json.1.part').write_text('cut')
+    (tmp_path / '.0a1b2c3d.part').mkdir()  # of a process that was killed
+    (tmp_path / '.0a1b2c3d.part' / '000009.ply').write_text('cut')
+    (tmp_path / '.summary.json.0a1b2c3d.part').write_text('cut')
     (tmp_path / '.mine.part').write_text('kept')
     assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
     assert {path.name for path in tmp_path.glob('.*')} == {'.mine.part'}

@@ -7,11 +7,7 @@ before are in ``previous/``.
 
 from __future__ import annotations
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from binocular_recon.calibration.report.report import render_report
@@ -20,12 +16,18 @@ from binocular_recon.calibration.session.board_images import draw_boards
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import PENDING, write_rig
-from binocular_recon.io.files import complete_file, flush, locked, make_folder, write_json
+from binocular_recon.io.files import (
+    complete_file,
+    flush,
+    locked,
+    make_folder,
+    part_folder,
+    remove_abandoned,
+    write_json,
+)
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
 PREVIOUS = 'previous'
-# A new calibration lies in `.PROCESS.*` with this end until it is complete, then in `PENDING`.
-_PARTIAL = '.calibration.part'
 
 
 def save_calibration(
@@ -89,24 +91,19 @@ def save_rig(rig: StereoRig, folder: Path) -> tuple[Path, ...]:
 def _replace(folder: Path, write: Callable[[Path], None]) -> None:
     """Replace the calibration of a folder by the files that ``write`` writes to another one."""
     make_folder(folder)
-    partial = None
     try:
-        partial = Path(tempfile.mkdtemp(_PARTIAL, f'.{os.getpid()}.', folder))
-        write(partial)
-        partial.chmod(folder.stat().st_mode & 0o777)
-        for path in partial.iterdir():
-            flush(path)
-        flush(partial)
-        with locked(folder):
-            _finish(folder)
-            partial.rename(folder / PENDING)
-            _finish(folder)
-            _remove_abandoned(folder)
+        with part_folder(folder) as part:
+            write(part)
+            for path in part.iterdir():
+                flush(path)
+            flush(part)
+            with locked(folder):
+                _finish(folder)
+                part.rename(folder / PENDING)  # from now on it is the calibration
+                _finish(folder)
+            remove_abandoned(folder)
     except OSError as error:
         raise _failure(folder, error) from error
-    finally:
-        if partial is not None:
-            shutil.rmtree(partial, ignore_errors=True)
 
 
 def finish_saving(folder: Path) -> None:
@@ -146,17 +143,6 @@ def _finish(folder: Path) -> None:
             (complete / name).replace(folder / name)
     complete.rmdir()
     flush(folder)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove what killed processes left half written."""
-    for partial in folder.glob(f'.*{_PARTIAL}'):
-        with suppress(ValueError, OSError):
-            process = int(partial.name.split('.')[1])
-            try:
-                os.kill(process, 0)
-            except ProcessLookupError:
-                shutil.rmtree(partial, ignore_errors=True)
 
 
 def _failure(folder: Path, error: OSError) -> FileError:

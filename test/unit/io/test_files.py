@@ -6,12 +6,22 @@ import errno
 import os
 import re
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from binocular_recon.errors import FileError
-from binocular_recon.io.files import complete_file, complete_files, make_folder, write_json
+from binocular_recon.io.files import (
+    ClaimedFolder,
+    complete_file,
+    complete_files,
+    locked,
+    make_folder,
+    remove_abandoned,
+    write_json,
+)
+from test.full_disk import largest_file
 
 
 def write_half(path: Path, error: BaseException) -> None:
@@ -64,12 +74,65 @@ def test_a_full_disk_says_so_and_leaves_no_part(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
-def test_a_really_full_device_is_a_file_error(tmp_path: Path) -> None:
-    (tmp_path / f'.a.json.{os.getpid()}.part').symlink_to('/dev/full')
-    with pytest.raises(FileError, match='No space left'):
-        write_json(tmp_path / 'a.json', {'x': 1})
-    assert list(tmp_path.iterdir()) == []
+def test_a_file_that_the_system_refuses_to_grow_is_a_file_error(tmp_path: Path) -> None:
+    (tmp_path / 'a.json').write_text('old')
+    with largest_file(100_000), pytest.raises(FileError, match='File too large; free some space'):
+        write_json(tmp_path / 'a.json', 'x' * 200_000)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ['old']
+
+
+def test_what_nobody_writes_any_more_is_removed(tmp_path: Path) -> None:
+    def names() -> set[str]:
+        return {path.name for path in tmp_path.iterdir()}
+
+    abandoned = '.0123abcd.part', '.a.json.0123abcd.part', '.b.0123abcd.part'
+    (tmp_path / abandoned[0]).mkdir()
+    (tmp_path / abandoned[0] / 'a').write_text('cut')
+    (tmp_path / abandoned[1]).write_text('cut')
+    os.mkfifo(tmp_path / abandoned[2])
+    (tmp_path / '.mine.part').write_text('kept')
+    with complete_file(tmp_path / 'c') as file, complete_files(tmp_path) as parts:
+        file.write(b'c')
+        (parts / 'd').write_text('d')
+        remove_abandoned(tmp_path)
+        assert names().isdisjoint(abandoned) and len(names()) == 3
+    assert names() == {'.mine.part', 'c', 'd'}
+
+
+def test_a_claim_does_not_keep_others_from_reading_and_its_end_lets_the_next_one_in(
+    tmp_path: Path,
+) -> None:
+    claim = ClaimedFolder(tmp_path)
+    with locked(tmp_path), pytest.raises(FileError, match='another process writes to'):
+        ClaimedFolder(tmp_path)
+    claim.release()
+    (tmp_path / '.claim').touch()  # of a process that was killed
+    claim = ClaimedFolder(tmp_path)
+    with pytest.raises(FileError, match='another process writes to'):
+        ClaimedFolder(tmp_path)
+    claim.release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_claims_of_many_threads_exclude_each_other(tmp_path: Path) -> None:
+    inside, most = [0], [0]
+
+    def claim() -> int:
+        count = 0
+        while count < 20:
+            with contextlib.suppress(FileError):
+                claimed = ClaimedFolder(tmp_path)
+                inside[0] += 1
+                most[0] = max(most[0], inside[0])
+                inside[0] -= 1
+                claimed.release()
+                count += 1
+        return count
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sum(pool.map(lambda _: claim(), range(4))) == 80
+    assert most == [1]
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
