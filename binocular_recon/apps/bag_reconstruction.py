@@ -7,10 +7,11 @@ import dataclasses
 import itertools
 import re
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from binocular_recon.apps.bag_input import BagInput
 from binocular_recon.apps.output_folder import ResultFolder
@@ -112,7 +113,7 @@ def reconstruct_bag(
         try:
             if results.facts:
                 report(f'{output} is finished already; --no-resume computes it again')
-                _repeat_warnings(results, report)
+                _Remarks(report).frames(results.frames)
             else:
                 rectify = not topics.rectified
                 _reconstruct(stereo, source, results, config, report, rectify=rectify)
@@ -173,12 +174,12 @@ def _reconstruct(
     *,
     rectify: bool,
 ) -> None:
-    chain, rig, warned, said = None, None, False, set[str]()
+    chain, rig, remarks = None, None, _Remarks(report)
     count = -(-stereo.expected // source.every)
     before = results.pairs
     if before:
         report(f'{len(results.frames)} frames are finished already; continuing after them')
-        _repeat_warnings(results, report)
+        remarks.frames(results.frames)
     with ProgressBar(min(count, source.max_frames or count), 'frames', before) as progress:
         pairs = itertools.islice(stereo, 0, None, source.every)
         for number, pair in enumerate(pairs, 1):
@@ -195,11 +196,7 @@ def _reconstruct(
                 if before and pair.rig is rig:
                     _restore(chain, results)
                 rig = pair.rig
-                remarks = [*pair.rig.notices, *(f'warning: {text}' for text in pair.rig.warnings)]
-                for text in remarks:
-                    if text not in said:
-                        report(text)
-                said.update(remarks)
+                remarks.say(*pair.rig.notices, *(f'warning: {text}' for text in rig.warnings))
                 if source.near_m is not None:
                     chain.search(range_of_depths(source.near_m, source.far_m, chain.rig))
             start = time.perf_counter()
@@ -213,28 +210,32 @@ def _reconstruct(
                     report(_opening(reconstruction.range.search, chain.rig))
                     if not reconstruction.cloud.calibrated:
                         report(_WITHOUT_COVARIANCE)
-                warning = reconstruction.range.warning
-                if warning and not warned:
-                    warned = True
-                    report(f'warning: {warning}')
-                for text in reconstruction.findings.warnings:
-                    if _kind(text) not in said:
-                        said.add(_kind(text))
-                        report(f'warning: {text}')
                 results.add(pair.stamp_ns, pair.rig, reconstruction, seconds, chain.state())
+                remarks.frames(results.frames[-1:])
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
                 return
 
 
-def _repeat_warnings(results: ResultFolder, report: Callable[[str], None]) -> None:
-    """Report the warnings of the frames of an earlier run, one of each kind."""
-    said = set()
-    for frame in results.frames:
-        for text in filter(None, [frame.get('warning'), *frame.get('findings', ())]):
-            if _kind(text) not in said:
-                said.add(_kind(text))
-                report(f'warning: {text}')
+class _Remarks:
+    """Reports remarks, one of each kind: of those that differ only in numbers the first."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report = report
+        self._said: set[str] = set()
+
+    def say(self, *texts: str) -> None:
+        for text in texts:
+            kind = re.sub(r'\d+(\.\d+)?', '#', text)
+            if kind not in self._said:
+                self._said.add(kind)
+                self._report(text)
+
+    def frames(self, entries: Sequence[Mapping[str, Any]]) -> None:
+        """Report the warnings of frames, of this run or an earlier one, by their entries."""
+        for entry in entries:
+            texts = entry.get('warning'), *entry.get('findings', ())
+            self.say(*(f'warning: {text}' for text in texts if text))
 
 
 def _restore(chain: Chain, results: ResultFolder) -> None:
@@ -245,11 +246,6 @@ def _restore(chain: Chain, results: ResultFolder) -> None:
     if results.chain_state['starts_from_last']:
         last_px = read_pfm(results.folder / f'{len(results.frames) - 1:06d}_disparity.pfm')
     chain.restore(results.chain_state, last_px)
-
-
-def _kind(text: str) -> str:
-    """Return what warnings have in common that differ in their numbers only."""
-    return re.sub(r'\d+(\.\d+)?', '#', text)
 
 
 def _opening(search: SearchRange, rig: StereoRig) -> str:

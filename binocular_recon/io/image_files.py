@@ -13,9 +13,13 @@ from binocular_recon.errors import FileError, ImageError
 from binocular_recon.images import Image
 from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.files import complete_file
-from binocular_recon.io.image_headers import jpeg_segments, read_header
-from binocular_recon.io.jpeg_check import share_found
+from binocular_recon.io.image_headers import MOST_BYTES, jpeg_segments, read_header
+from binocular_recon.io.jpeg_check import loss
 from binocular_recon.io.native_lines import native_lines_held
+from binocular_recon.io.text_files import read_bytes
+
+# Of the largest image, not compressed, with its header.
+_LARGEST = MOST_BYTES + (1 << 20)
 
 
 def read_image_file(path: Path) -> Image:
@@ -37,12 +41,7 @@ def read_image_file(path: Path) -> Image:
         If the file cannot be read or is not an image.
 
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe may never end
-        raise FileError(f'{path} is not a regular file; give a PNG, JPEG or TIFF file')
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f'{path} cannot be read: {error.strerror}') from error
+    data = read_bytes(path, 'give a PNG, JPEG or TIFF file', _LARGEST)
     try:
         return decoded_image(data, str(path))
     except ImageError as error:
@@ -84,7 +83,7 @@ def decoded_image(data: bytes, name: str, size: tuple[int, int] | None = None) -
     if size:
         check_image_size((header.width, header.height), size, name)
     try:
-        with native_lines_held():
+        with native_lines_held() as warnings:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
@@ -93,10 +92,10 @@ def decoded_image(data: bytes, name: str, size: tuple[int, int] | None = None) -
             f'{name} cannot be decoded: {len(data)} bytes of {header.format} are damaged or of an'
             ' unusual kind; send plain JPEG or PNG'
         )
-    if header.format == 'JPEG' and (share := share_found(data, image)) < 1:
+    if header.format == 'JPEG' and (lost := loss(data, warnings)):
         raise ImageError(
-            f'{name} is truncated: its {len(data)} bytes of JPEG hold {share:.0%} of the image;'
-            ' make the connection reliable'
+            f'{name} is truncated: its {len(data)} bytes of JPEG {lost}; make the connection'
+            ' reliable'
         )
     return np.asarray(image)
 

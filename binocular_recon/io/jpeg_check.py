@@ -1,57 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find JPEG files that lost their end but are closed properly.
+"""Find JPEG files that lost a part but are closed properly.
 
-The decoder fills what is missing with grey and only warns on standard error, so nothing else would
-notice.
+The decoder fills what is missing with grey, or leaves it coarse, and only warns on standard error.
+Its warning tells that something is wrong, a look at the file what is missing.
 """
 
 from __future__ import annotations
 
+import re
 import struct
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon.images import Image
 from binocular_recon.io._jpeg_kernels import CODE_BITS, count_units
 from binocular_recon.io.image_headers import jpeg_segments
 
-_TABLES, _RESTART = 0xC4, 0xDD
+_TABLES, _SCAN, _RESTART, _END = 0xC4, 0xDA, 0xDD, 0xD9
+# In coded data FF is followed by 0, and restart markers belong to them.
+_MARKER = re.compile(rb'\xff[^\x00\xff\xd0-\xd7]')
 _SEQUENTIAL, _PROGRESSIVE = (0xC0, 0xC1), 0xC2
 _BLOCK = 8
-# The decoder sets missing blocks to this grey.
-_INVENTED, _TOLERANCE = 128, 2
+_WARNING = re.compile('Corrupt JPEG|Premature end of JPEG')
+# Cameras that write too much before the end marker are common; nothing is missing.
+_HARMLESS = re.compile('extraneous bytes before marker 0xd9')
 
 
-def share_found(data: bytes, image: Image) -> float:
-    """Return the share of a JPEG image that its file holds.
+def loss(data: bytes, warnings: Sequence[str] | None) -> str:
+    """Return what a JPEG file has lost.
 
     Parameters
     ----------
     data : bytes
         The file.
-    image : (H, W) or (H, W, 3) uint8
-        What it was decoded to.
+    warnings : sequence of str or None
+        What the decoder wrote to standard error; None if that is not known.
 
     Returns
     -------
-    share : float
-        1 if the last block is not the grey that stands for a missing one, or if files of this
-        kind are not checked (arithmetic coding, sequential in several scans). Of a progressive
-        file that lost whole scans, the share of the coefficients.
+    text : str
+        What follows "its N bytes of JPEG"; '' if nothing is missing, or if it cannot be told: in
+        files with arithmetic coding the decoder does not notice it.
 
     """
+    warned = [text for text in warnings or () if _WARNING.match(text)]
     try:
         segments = jpeg_segments(data)
         frame = next(one for one in segments if one[0] in (*_SEQUENTIAL, _PROGRESSIVE))
-        if frame[0] == _PROGRESSIVE:
-            return _share_of_coefficients(data, frame[1])
-        corner = image[-_BLOCK:, -_BLOCK:].astype(np.int16)
-        if np.abs(corner - _INVENTED).max() > _TOLERANCE:
-            return 1.0
-        return _share_of_units(data, segments, frame[1])
+        scan = segments[-1][1]
+        if frame[0] == _PROGRESSIVE or data[scan] < data[frame[1] + 5]:
+            share = _share_of_coefficients(data, frame[1], scan)
+            harmful = [text for text in warned if not _HARMLESS.search(text)]
+            if share == 1 and harmful:
+                return f'are damaged ({harmful[0]})'
+        else:
+            share = (
+                _share_of_units(data, segments, frame[1]) if warned or warnings is None else 1.0
+            )
     except (struct.error, LookupError, StopIteration, ValueError):
-        return 1.0  # the decoder accepted it
+        return ''  # the decoder accepted it
+    return f'hold {share:.0%} of the image' if share < 1 else ''
 
 
 def _share_of_units(data: bytes, segments: list[tuple[int, int, int]], frame: int) -> float:
@@ -73,8 +82,6 @@ def _coded_units(data: bytes, frame: int, scan: int) -> tuple[int, npt.NDArray[n
         data[place]: (data[place + 1] >> 4, data[place + 1] & 15)
         for place in range(frame + 6, frame + 6 + 3 * count, 3)
     }
-    if data[scan] != count:
-        raise ValueError('several scans')
     blocks = []
     for place in range(scan + 1, scan + 1 + 2 * count, 2):
         x, y = sampling[data[place]]
@@ -103,16 +110,27 @@ def _huffman_tables(data: bytes, segments: list[tuple[int, int, int]]) -> npt.ND
     return tables
 
 
-def _share_of_coefficients(data: bytes, frame: int) -> float:
-    """Return the share of the coefficients that the scans of a progressive file bring."""
+def _share_of_coefficients(data: bytes, frame: int, scan: int) -> float:
+    """Return the share of the coefficients that the scans of a file with several bring."""
     count = data[frame + 5]
     exact = np.zeros((count, _BLOCK**2), np.bool_)
     numbers = {data[frame + 6 + 3 * i]: i for i in range(count)}
-    place = data.find(b'\xff\xda')
-    while place >= 0:
-        parts = data[place + 4]
-        first, last, shift = data[place + 5 + 2 * parts : place + 8 + 2 * parts]
+    for place in _scans(data, scan):
+        parts = data[place]
+        first, last, shift = data[place + 1 + 2 * parts : place + 4 + 2 * parts]
         for i in range(parts):
-            exact[numbers[data[place + 5 + 2 * i]], first : last + 1] |= shift & 15 == 0
-        place = data.find(b'\xff\xda', place + 2)
+            exact[numbers[data[place + 1 + 2 * i]], first : last + 1] |= shift & 15 == 0
     return float(exact.mean())
+
+
+def _scans(data: bytes, first: int) -> Iterator[int]:
+    """Yield where the content of each scan's header begins."""
+    place, marker = first, _SCAN
+    while marker != _END:
+        if marker == _SCAN:
+            yield place
+        (length,) = struct.unpack_from('>H', data, place - 2)
+        found = _MARKER.search(data, place - 2 + length)
+        if found is None:
+            return
+        place, marker = found.end() + 2, data[found.end() - 1]

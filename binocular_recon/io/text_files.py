@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read text files that anybody may have written: YAML and JSON with limits.
+"""Read files that anybody may have written: text, YAML and JSON with limits.
 
 A file is refused before it costs more time or memory than what it may hold needs: it has a
 largest size, a largest depth and, in YAML, no aliases, which could stand for any number of values.
@@ -20,7 +20,7 @@ import yaml
 from binocular_recon.errors import BinocularReconError, FileError, shortened
 
 # The files of a calibration have 10 to 100 kB.
-_LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
+LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
 _DEEPEST = 50
 # PyYAML needs half a second for so many values.
 _MOST_VALUES = 30_000
@@ -28,13 +28,13 @@ _MOST_VALUES = 30_000
 _LONGEST_NUMBER = 100
 
 
-def read_text(path: Path, remedy: str, largest: int) -> str:
-    """Return the text of a file.
+def read_bytes(path: Path, remedy: str, largest: int) -> bytes:
+    """Return the content of a file.
 
     Parameters
     ----------
     path : Path
-        A file in UTF-8, with or without a byte order mark.
+        A file; what is none, such as a pipe, may never end and is refused.
     remedy : str
         What to give instead, for the error.
     largest : int
@@ -43,7 +43,7 @@ def read_text(path: Path, remedy: str, largest: int) -> str:
     Raises
     ------
     FileError
-        If the file cannot be read, is larger or is not text; the message begins with the path.
+        If the file cannot be read or is larger; the message begins with the path.
 
     """
     try:
@@ -51,22 +51,40 @@ def read_text(path: Path, remedy: str, largest: int) -> str:
             raise FileError(f'{path} is not a file; {remedy}')
         with path.open('rb') as file:
             data = file.read(largest + 1)
-        if len(data) > largest:
-            raise FileError(
-                f'{path} has more than {largest / 1e6:g} MB, the limit of such files; {remedy}'
-            )
-        text = data.decode('utf-8-sig')
+    except FileError:
+        raise
+    except OSError as error:
+        raise FileError(f'{path} cannot be read: {error.strerror or error}; {remedy}') from error
+    except ValueError as error:  # a path with a null character
+        raise FileError(f'{str(path)!r} cannot be read: {error}; {remedy}') from error
+    check_size(path, data, remedy, largest)
+    return data
+
+
+def check_size(path: Path, data: bytes, remedy: str, largest: int) -> None:
+    """Raise a FileError if the content of a file has more than ``largest`` bytes."""
+    if len(data) > largest:
+        raise FileError(
+            f'{path} has more than {largest / 1e6:.3g} MB, the limit of such files; {remedy}'
+        )
+
+
+def read_text(path: Path, remedy: str, largest: int) -> str:
+    """Return the text of a file in UTF-8, with or without a byte order mark.
+
+    Raises a FileError as `read_bytes`, and if the file is not text.
+    """
+    return decoded(path, read_bytes(path, remedy, largest), remedy)
+
+
+def decoded(path: Path, data: bytes, remedy: str) -> str:
+    """Return the content of a file as text; raises a FileError if it is not UTF-8."""
+    try:
+        return data.decode('utf-8-sig')
     except UnicodeDecodeError as error:
         raise FileError(
             f'{path} cannot be read: byte {error.start} is not UTF-8; {remedy}'
         ) from error
-    except OSError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f'{path} cannot be read: {error.strerror or error}; {remedy}') from error
-    except ValueError as error:  # a path with a null character
-        raise FileError(f'{str(path)!r} cannot be read: {error}; {remedy}') from error
-    return text
 
 
 def read_yaml(path: Path, remedy: str) -> Any:
@@ -75,7 +93,7 @@ def read_yaml(path: Path, remedy: str) -> Any:
     Raises a FileError as `read_text`, and if the file is not YAML, is nested too deeply, or has
     aliases.
     """
-    text = read_text(path, remedy, _LARGEST_YAML)
+    text = read_text(path, remedy, LARGEST_YAML)
     try:
         return parse_yaml(text)
     except FileError as error:

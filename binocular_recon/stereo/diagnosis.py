@@ -86,6 +86,7 @@ class PairCheck:
         matched: Match,
         config: MatchConfig,
         infinity_px: float | None = None,
+        faults: tuple[str, str] | None = None,
     ) -> Findings:
         """Return what is wrong with this pair, or with the last one that was examined.
 
@@ -97,6 +98,8 @@ class PairCheck:
             Their match.
         config, infinity_px
             As for `overview`.
+        faults : (str, str), optional
+            `image_fault` of both, if that is known.
 
         Raises
         ------
@@ -108,10 +111,12 @@ class PairCheck:
         with self._lock:
             due = self._counts[few] % EXAMINE_EVERY == 0
             self._counts[few] += 1
-        if few and not any(image_fault(image) for image in (left, right)):
+        cause = _fault(faults or (image_fault(left), image_fault(right))) if few else ''
+        if few and not cause:
             check_order(left, right, config, infinity_px)
         if due and few:
-            self._last[few] = Findings(cause=explain_few(left, right, config, infinity_px))
+            cause = cause or explain_few(left, right, config, infinity_px)
+            self._last[few] = Findings(cause=cause)
         elif due:
             self._last[few] = _examined(left, right, matched)
         return self._last[few]
@@ -163,10 +168,16 @@ def image_fault(grey: FloatImage) -> str:
     return ''
 
 
+def _fault(faults: tuple[str, str]) -> str:
+    """Return which image of a pair cannot be matched, and why; '' if both can."""
+    left, right = faults
+    return f'the left image {left}' if left else f'the right image {right}' if right else ''
+
+
 def explain_few(
     left: FloatImage, right: FloatImage, config: MatchConfig, infinity_px: float | None = None
 ) -> str:
-    """Return why few pixels of a pair match, as far as the images show it; else ''.
+    """Return why few pixels of a pair without an `image_fault` match; '' if nothing shows it.
 
     Parameters
     ----------
@@ -177,10 +188,6 @@ def explain_few(
 
     """
     images = {'left': left, 'right': right}
-    for side, grey in images.items():
-        fault = image_fault(grey)
-        if fault:
-            return f'the {side} image {fault}'
     causes: tuple[Callable[[], str], ...] = (
         lambda: _turned(left, right, config, infinity_px or 0.0),
         lambda: _rows_apart(left, right),

@@ -17,11 +17,17 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
-from binocular_recon.io.text_files import check_structure
+from binocular_recon.io.text_files import (
+    LARGEST_YAML,
+    check_size,
+    check_structure,
+    decoded,
+    read_bytes,
+)
 
-# Calibrations have a few kilobytes. YAML takes seconds per megabyte; mrcal and MATLAB may add the
-# observations that a calibration was made from.
-MOST_YAML_BYTES, MOST_BYTES = 512 << 10, 64 << 20
+# mrcal and MATLAB may add the observations that a calibration was made from.
+MOST_BYTES = 64_000_000
+_REMEDY = 'give the file of a calibration alone'
 # In any format; in YAML with all aliases written out.
 MOST_NODES = 500_000
 _GZIP = b'\x1f\x8b'
@@ -64,32 +70,31 @@ class SourceFile:
     @cached_property
     def data(self) -> bytes:
         """Content, decompressed; raises a FileError if it cannot be read or is too large."""
-        try:
-            with self.path.open('rb') as file:
-                data = file.read(MOST_BYTES + 1)
-            if data.startswith(_GZIP):
+        data = read_bytes(self.path, _REMEDY, MOST_BYTES)
+        if data.startswith(_GZIP):
+            try:
                 with gzip.open(io.BytesIO(data)) as file:
                     data = file.read(MOST_BYTES + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise _unreadable(self.path, error) from error
-        return self._bounded(data, MOST_BYTES)
+            except (OSError, EOFError, zlib.error) as error:
+                raise FileError(f'{self.path} cannot be read: {error}; {_REMEDY}') from error
+            check_size(self.path, data, _REMEDY, MOST_BYTES)
+        return data
 
     @cached_property
     def text(self) -> str:
         """Content as text; raises a FileError if it is not UTF-8."""
-        try:
-            return self.data.decode('utf-8-sig')
-        except UnicodeDecodeError as error:
-            raise _unreadable(self.path, error) from error
+        return decoded(self.path, self.data, _REMEDY)
 
     @cached_property
     def head(self) -> bytes:
         """First kilobytes of the file as they are; empty if it cannot be read."""
         try:
-            with self.path.open('rb') as file:
-                return file.read(4096)
+            if self.path.is_file():
+                with self.path.open('rb') as file:
+                    return file.read(4096)
         except OSError:
-            return b''
+            pass
+        return b''
 
     @cached_property
     def content(self) -> Any:
@@ -117,7 +122,7 @@ class SourceFile:
         elif names.endswith('.json') or (begin.startswith('{') and not names.endswith('ml')):
             kind, parse = 'JSON', json.loads
         else:
-            self._bounded(self.data, MOST_YAML_BYTES)
+            check_size(self.path, self.data, _REMEDY, LARGEST_YAML)
             kind, parse = 'YAML', _yaml
         try:
             _check_parts(self.text)
@@ -132,19 +137,6 @@ class SourceFile:
             f'{self.path} is not a camera file: {reason} (read as {kind}); write it again with the'
             ' program that made it'
         )
-
-    def _bounded(self, data: bytes, limit: int) -> bytes:
-        if len(data) > limit:
-            raise FileError(
-                f'{self.path} cannot be read: it has more than {limit >> 10} kB, more than a'
-                ' calibration; give the file of the calibration alone'
-            )
-        return data
-
-
-def _unreadable(path: Path, error: Exception) -> FileError:
-    reason = getattr(error, 'strerror', None) or error
-    return FileError(f'{path} cannot be read: {reason}; give a camera file')
 
 
 def _check_parts(text: str) -> None:

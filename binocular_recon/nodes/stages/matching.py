@@ -84,11 +84,13 @@ class MatchStage:
         health = self._node.health
         self._levels.config = self._node.options.of(ImageConfig)
         levels = self._levels.update(left, right)
-        greys, exposed = [], True
+        greys, faults, missing = [], [], []
         for image, level, side in zip((left, right), levels, ('left', 'right'), strict=True):
             check_size(image, rig.left.size, side)
             grey = to_grey(image, level)
-            exposed = self._warn_of_bad_exposure(grey, side) and exposed
+            faults.append(image_fault(grey))
+            missing.append(float(np.isnan(grey).mean()))
+            self._warn_of_fault(faults[-1], missing[-1], side)
             grey = turn(grey, rig.turns)
             mark_empty(grey)
             greys.append(grey)
@@ -97,9 +99,12 @@ class MatchStage:
         matched = match(left_grey, right_grey, config)
         health.state('matched', f'{matched.matched_share:.1%} of the pixels')
         findings = self._check.update(
-            left_grey, right_grey, matched, config, rig.disparity_offset_px
+            *(left_grey, right_grey, matched, config, rig.disparity_offset_px),
+            faults=(faults[0], faults[1]),
         )
-        self._report_findings(findings, matched.matched_share, warn=exposed)
+        self._report_findings(
+            findings, matched.matched_share, warn=not (any(faults) or any(missing))
+        )
         return MatchedPair(matched, left_grey, levels[0], config)
 
     def publish(self, pair: MatchedPair, rig: StereoRig, header: Header) -> None:
@@ -157,14 +162,11 @@ class MatchStage:
             if warn:
                 health.warning(warning)
 
-    def _warn_of_bad_exposure(self, grey: FloatImage, side: str) -> bool:
-        """Warn if few pixels can be matched, and say why; return whether all is well."""
-        missing = np.mean(np.isnan(grey))
-        text = image_fault(grey)
+    def _warn_of_fault(self, fault: str, missing: float, side: str) -> None:
+        """Warn if few pixels can be matched, and say why."""
         if missing > 0:
-            text = (
+            fault = (
                 f'has no data (NaN) in {100 * missing:.1f} % of its pixels; they get no disparity'
             )
-        if text:
-            self._node.health.warning(f'{side} image {text}')
-        return not text
+        if fault:
+            self._node.health.warning(f'{side} image {fault}')

@@ -128,6 +128,7 @@ def test_a_frame_that_cannot_be_written_leaves_no_file_and_no_entry(
     with pytest.raises(FileError, match=r'000000_x\.txt cannot be written'):
         results.add(0, RIG, reconstruction(20.0), 0.5)
     assert results.frames == []
+    results.close()
     assert files_of(tmp_path) == expected(1, ALWAYS)
     assert (tmp_path / '000000_disparity.pfm').read_bytes() == before
 

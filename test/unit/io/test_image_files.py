@@ -39,7 +39,7 @@ def test_what_is_not_an_image_is_named(tmp_path: Path) -> None:
             read_image_file(tmp_path / name)
     with pytest.raises(FileError, match=r'gone\.png cannot be read: No such file'):
         read_image_file(tmp_path / 'gone.png')
-    with pytest.raises(FileError, match='cannot be read: Is a directory'):
+    with pytest.raises(FileError, match='is not a file; give a PNG'):
         read_image_file(tmp_path)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -140,7 +141,9 @@ def test_the_cause_of_few_matches_is_said(cause: str, side: str) -> None:
     change, text = CAUSES[cause]
     images = {'left': LEFT, 'right': RIGHT}
     images[side] = np.ascontiguousarray(change(images[side]), np.float32)
-    found = explain_few(images['left'], images['right'], CONFIG)
+    matched, check = examine(images['left'], images['right'])
+    few = dataclasses.replace(matched, disparity_px=np.full_like(LEFT, np.nan))
+    found = check.update(images['left'], images['right'], few, CONFIG).cause
     named = side
     if cause in {'rows', 'far rows'} and side == 'left':
         named, text = (
