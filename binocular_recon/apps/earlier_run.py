@@ -92,7 +92,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise FileError(
             f'{path} cannot be read: {error.strerror}; choose another folder'
         ) from error
-    except ValueError:
+    except (ValueError, RecursionError):
         summary = None
     # not written by us: what lies around it is not either
     return summary if isinstance(summary, dict) else {}

@@ -111,9 +111,13 @@ class PairCheck:
         with self._lock:
             due = self._counts[few] % EXAMINE_EVERY == 0
             self._counts[few] += 1
-        cause = _fault(faults or (image_fault(left), image_fault(right))) if few else ''
-        if few and not cause:
-            check_order(left, right, config, infinity_px)
+        cause = ''
+        if few:
+            faults = faults or (image_fault(left), image_fault(right))
+            sides = zip(('left', 'right'), faults, strict=True)
+            cause = next((f'the {side} image {fault}' for side, fault in sides if fault), '')
+            if not cause:
+                check_order(left, right, config, infinity_px)
         if due and few:
             cause = cause or explain_few(left, right, config, infinity_px)
             self._last[few] = Findings(cause=cause)
@@ -166,12 +170,6 @@ def image_fault(grey: FloatImage) -> str:
     if white > SATURATED_SHARE:
         return f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
     return ''
-
-
-def _fault(faults: tuple[str, str]) -> str:
-    """Return which image of a pair cannot be matched, and why; '' if both can."""
-    left, right = faults
-    return f'the left image {left}' if left else f'the right image {right}' if right else ''
 
 
 def explain_few(

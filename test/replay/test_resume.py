@@ -258,7 +258,7 @@ def test_another_recording_or_a_missing_file_is_noticed(
 
 
 def test_a_summary_of_others_is_no_earlier_run(bag: Path, tmp_path: Path) -> None:
-    for text in ('', 'no JSON', '[1]', '{"mine": 1}'):
+    for text in ('', 'no JSON', '[1]', '{"mine": 1}', 100_000 * '['):
         (tmp_path / 'summary.json').write_text(text)
         assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
         assert contents(tmp_path)['summary']['finished'] is True
