@@ -48,7 +48,7 @@ ROOMS = [
     },
     {'io'},
     {'io.messages'},
-    {'io.bags'},
+    {'io.bags', 'io.pairs'},
     {'drawing'},
     {'calibration.model', 'calibration.target'},
     {'calibration.detection'},

@@ -124,18 +124,20 @@ class ResultFolder:
 
     def add(
         self,
-        stamp_ns: int,
+        stamp_ns: int | None,
         rig: StereoRig,
         reconstruction: Reconstruction,
         seconds: float,
         chain_state: dict[str, Any] | None = None,
+        *,
+        names: tuple[str, str] | None = None,
     ) -> None:
         """Write all files of a frame or none; raises a FileError if they cannot be written.
 
         Parameters
         ----------
-        stamp_ns : int
-            Stamp of the pair.
+        stamp_ns : int, optional
+            Stamp of the pair, if it is known.
         rig : StereoRig
             Its calibration.
         reconstruction : Reconstruction
@@ -144,11 +146,15 @@ class ResultFolder:
             Time that it took.
         chain_state : dict, optional
             `Chain.state` after it.
+        names : (str, str), optional
+            What the images of the pair are called.
 
         """
         index = len(self.frames)
         result = FrameResult(reconstruction, rig)
         entry = frame_entry(index, stamp_ns, result, seconds)
+        if names:
+            entry['images'] = list(names)
         rig_entry = self._rig or first_rig_entry(result)
         calibration = calibration_entry(rig)
         if calibration != rig_entry['calibration']:
@@ -170,10 +176,16 @@ class ResultFolder:
         self._save_progress()
 
     def leave_out(
-        self, stamp_ns: int, reason: Exception, chain_state: dict[str, Any] | None = None
+        self,
+        stamp_ns: int | None,
+        reason: Exception,
+        chain_state: dict[str, Any] | None = None,
+        *,
+        names: tuple[str, str] | None = None,
     ) -> None:
         """Note a pair that could not be reconstructed, and `Chain.state` after it."""
-        self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
+        images = {'images': list(names)} if names else {}
+        self.left_out.append({'stamp_ns': stamp_ns, **images, 'reason': str(reason)})
         self._advance(chain_state)
         self._save_progress()
 

@@ -18,11 +18,13 @@ from binocular_recon.stereo.rectification import frame_text
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
 
 
-def frame_entry(index: int, stamp_ns: int, frame: FrameResult, seconds: float) -> dict[str, Any]:
+def frame_entry(
+    index: int, stamp_ns: int | None, frame: FrameResult, seconds: float
+) -> dict[str, Any]:
     """Return the entry of a frame; only its ``seconds`` differ from run to run."""
     reconstruction = frame.reconstruction
     points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
-    entry = {
+    entry: dict[str, Any] = {
         'index': index,
         'stamp_ns': stamp_ns,
         'density': float(np.isfinite(frame.disparity_px).mean()),

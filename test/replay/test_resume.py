@@ -131,7 +131,7 @@ RUNNER = """
 import json, os, sys
 import cv2
 cv2.setNumThreads(1)  # its threads would not survive the fork
-from binocular_recon.apps import bag_reconstruction
+from binocular_recon.apps import reconstruction
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
 from binocular_recon.stereo.pipeline import warm_up
