@@ -50,6 +50,7 @@ ROOMS = [
     {'io.messages'},
     {'io.bags', 'io.pairs'},
     {'drawing'},
+    {'io.exports'},
     {'calibration.model', 'calibration.target'},
     {'calibration.detection'},
     {'calibration.adjustment'},

@@ -12,7 +12,6 @@ from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.point_covariance import sigma_shares
-from binocular_recon.stereo.rectification import frame_text
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
@@ -55,7 +54,7 @@ def first_rig_entry(frame: FrameResult) -> dict[str, Any]:
         calibration_entry(rig),
         rig.baseline_m,
         rig.focal_px,
-        f'left rectified optical frame: {frame_text(rig.left)}',
+        frame.geometry.frame,
         sigma_shares(rig.covariance is not None),
         [depth if math.isfinite(depth) else None for depth in depths_m],
     )

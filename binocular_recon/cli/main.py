@@ -32,6 +32,10 @@ COMMANDS = {
         'clouds',
         'turn a bag, images or videos of a rig into point clouds and disparity maps',
     ),
+    'export': (
+        'clouds',
+        'write clouds and depth of an output folder as LAS, LAZ, E57, PLY, TIFF or PNG',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),

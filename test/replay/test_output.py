@@ -40,15 +40,15 @@ def test_a_full_disk_keeps_the_finished_frames(
     assert reconstruct(bag, output) == 0
     old = (output / '000001.ply').read_bytes(), (output / '000002.ply').read_bytes()
 
-    write = FRAME_FORMATS['cloud'].write
+    write = FRAME_FORMATS['ply'].write
 
     def find_no_space(path: Path, *arguments: Any) -> object:
         if path.name == '000001.ply':
             path.with_name(f'.{path.name}.{os.getpid()}.part').symlink_to('/dev/full')
         return write(path, *arguments)
 
-    cloud = FRAME_FORMATS['cloud']._replace(write=find_no_space)
-    monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
+    cloud = FRAME_FORMATS['ply']._replace(write=find_no_space)
+    monkeypatch.setitem(FRAME_FORMATS, 'ply', cloud)
     assert reconstruct(bag, output, '--no-resume') == 1
     assert 'No space left on device; free some space' in capsys.readouterr().err
     summary = json.loads((output / 'summary.json').read_text())

@@ -14,6 +14,7 @@ from binocular_recon.cli.options import (
     add_flags,
     add_output_option,
     chain_config,
+    names,
     note,
     positive,
 )
@@ -54,10 +55,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--max-frames', type=positive(int), metavar='N', help='stop after N frames'
     )
     parser.add_argument(
+        '--format',
+        type=names,
+        default=[],
+        metavar='NAME,...',
+        help='also write these: las, laz, e57 (clouds), tiff, png (depth in metres, millimetres),'
+        ' grey, colour (depth to look at), drawing',
+    )
+    parser.add_argument(
         '--drawings',
         '--pictures',
         action='store_true',
-        help='also draw each cloud beside the left image: NNNNNN_cloud.png',
+        help='as --format drawing: each cloud beside the left image, NNNNNN_cloud.png',
     )
     parser.add_argument(
         '--near',
@@ -148,7 +157,7 @@ def run(args: argparse.Namespace) -> None:
 
     source = _input(args)
     _check_input_options(args)
-    formats = ['drawing'] if args.drawings else []
+    formats = [*args.format, *(['drawing'] if args.drawings else [])]
     config = chain_config(args)
     print(
         reconstruct_pairs(

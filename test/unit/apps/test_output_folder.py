@@ -133,8 +133,8 @@ def test_a_frame_that_cannot_be_written_leaves_no_file_and_no_entry(
 
 
 def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"must be among disparity, .*drawing, got 'las'"):
-        ResultFolder(tmp_path / 'new', {}, formats=['las'])
+    with pytest.raises(ConfigError, match=r"must be among disparity, .*drawing, .*got 'obj'"):
+        ResultFolder(tmp_path / 'new', {}, formats=['obj'])
     assert not (tmp_path / 'new').exists()
 
 
