@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.images import FloatImage
 from binocular_recon.rotations import cross_matrix
 
 _SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
@@ -66,8 +70,8 @@ class Placement:
         return placed
 
     def sigmas(
-        self, points_xyz: FloatArray, sigmas_m: dict[str, FloatArray]
-    ) -> dict[str, FloatArray]:
+        self, points_xyz: FloatArray, sigmas_m: Mapping[str, npt.NDArray[Any]]
+    ) -> dict[str, FloatImage]:
         """Return the standard deviations of points along the axes of the site.
 
         Parameters
@@ -87,15 +91,13 @@ class Placement:
         sigma_x and sigma_y hold beyond it is across; so the covariance has the given diagonal.
 
         """
-        ray = points_xyz / points_xyz[:, 2:]
-        z = np.asarray(sigmas_m['sigma_z'], np.float64)
-        covariance = (ray * z[:, None])[:, :, None] * (ray * z[:, None])[:, None, :]
+        along = points_xyz * (sigmas_m['sigma_z'] / points_xyz[:, 2])[:, None]
+        turned = self.scale * self.rotation
+        variance = (along @ turned.T) ** 2
         for axis, name in enumerate(_SIGMAS[:2]):
             if name in sigmas_m:
-                across = np.asarray(sigmas_m[name], np.float64) ** 2 - covariance[:, axis, axis]
-                covariance[:, axis, axis] += np.maximum(across, 0)
-        turned = self.scale * self.rotation
-        variance = np.einsum('ij,njk,ik->ni', turned, covariance, turned, optimize=True)
+                across = np.maximum(sigmas_m[name] ** 2 - along[:, axis] ** 2, 0)
+                variance += across[:, None] * turned[:, axis] ** 2
         if self.covariance is not None and self.centre_m is not None:
             arms = self.points(points_xyz) - self.centre_m
             unit = np.broadcast_to(np.eye(3), (len(arms), 3, 3))

@@ -18,8 +18,8 @@ from binocular_recon.io.ply import CAMERA_FRAME, SCALAR, Vertices, read_ply, ver
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.stereo.triangulation import Cloud
 
-# Points of a part: some 50 MB with all their fields.
-CHUNK = 500_000
+# Points of a part: some 20 MB with all their fields.
+CHUNK = 200_000
 SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
 
 
@@ -116,7 +116,7 @@ class PointTable:
         """Yield the points in parts of at most ``size``."""
         for begin in range(0, len(self.vertices), size):
             part = np.asarray(self.vertices[begin : begin + size])
-            xyz = np.stack([part[name] for name in 'xyz'], axis=-1).astype(np.float64)
+            xyz = _coordinates(part)
             names = part.dtype.names or ()
             scalars = {
                 name.removeprefix(SCALAR): part[name] for name in names if name.startswith(SCALAR)
@@ -133,7 +133,13 @@ class PointTable:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Return the least and the largest coordinates, (3,) float64 each; 0 without a point."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for chunk in self.chunks():
-            low = np.minimum(low, chunk.xyz.min(axis=0))
-            high = np.maximum(high, chunk.xyz.max(axis=0))
+        for begin in range(0, len(self.vertices), CHUNK):
+            xyz = _coordinates(self.vertices[begin : begin + CHUNK])
+            xyz = self.placement.points(xyz) if self.placement else xyz
+            low = np.minimum(low, xyz.min(axis=0))
+            high = np.maximum(high, xyz.max(axis=0))
         return (low, high) if len(self.vertices) else (np.zeros(3), np.zeros(3))
+
+
+def _coordinates(vertices: Vertices) -> FloatArray:
+    return np.stack([vertices[name] for name in 'xyz'], axis=-1).astype(np.float64)
