@@ -71,4 +71,7 @@ def export(
     finally:
         claim.release()
     count = f'{len(frames)} frames' if len(frames) > 1 else '1 frame'
-    return f'{count} as {", ".join(specs)} in {output}'
+    where = ''
+    if placement:
+        where = f', clouds in the frame of the control points ({placement.crs or "local"})'
+    return f'{count} as {", ".join(specs)} in {output}{where}'

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -66,7 +67,7 @@ class StoredFrame:
             )
         width, height = self.geometry.size
         depth_m = np.full((height, width), np.nan, np.float32)
-        for chunk in self.table.placed(None).chunks():
+        for chunk in dataclasses.replace(self.table, placement=None).chunks():
             u, v, w = self.geometry.P[:, :3] @ chunk.xyz.T
             columns, rows = np.rint(u / w).astype(np.intp), np.rint(v / w).astype(np.intp)
             if not ((columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)).all():

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -64,6 +65,50 @@ def test_by_default_files_lie_in_a_folder_of_their_own_and_reconstruct_leaves_th
     # formats that were not asked for again are removed
     assert not list(folder.glob('*.laz')) and not list(folder.glob('*_depth.json'))
     assert len(list((folder / 'export').iterdir())) == 2
+
+
+def test_clouds_lie_where_the_control_points_say(
+    output: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    laspy = pytest.importorskip('laspy')
+    folder = tmp_path / 'out'
+    shutil.copytree(output, folder)
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z forward becomes y, y down -z
+    pivot_site = np.array([500_000.0, 5_000_000, 120])
+    tie = {
+        'transform': {
+            'R': turn.tolist(),
+            't': pivot_site.tolist(),
+            'scale': 1.0,
+            'pivot': [0, 0, 0],
+            'pivot_site': pivot_site.tolist(),
+        },
+        'crs': {'epsg': 32632},
+        'errors': {'covariance': np.diag([0, 0, 0, 0.04**2, 0, 0, 0]).tolist()},
+    }
+    path = folder / 'georeference.json'
+    path.write_text(json.dumps(tie))
+    assert export(folder, '--format', 'laz,tiff') == 0
+    assert 'in the frame of the control points (EPSG:32632)\n' in capsys.readouterr().out
+    las = laspy.read(folder / 'export' / '000000.laz')
+    vertices = read_ply(output / '000000.ply')
+    placed = vertices['xyz'].astype(float) @ turn.T + pivot_site
+    assert np.abs(np.stack([las.x, las.y, las.z], -1) - placed).max() < 1e-3 / 10
+    x, _, z = vertices['xyz'].astype(float).T
+    matching = vertices['sigma_z'] * x / z  # along the ray
+    np.testing.assert_allclose(las['sigma_x'], np.hypot(matching, 0.04), rtol=1e-4)
+    np.testing.assert_allclose(las['sigma_y'], vertices['sigma_z'], rtol=1e-4)
+    depth = (folder / 'export' / '000000_depth.tiff').read_bytes()
+    assert depth == (output / '000000_depth.tiff').read_bytes()
+    assert export(folder, '--format', 'laz', '--no-georeference') == 0
+    las = laspy.read(folder / 'export' / '000000.laz')
+    assert np.abs(las.z - vertices['xyz'][:, 2]).max() < 1e-4
+    small = {'covariance': [[1.0]]}
+    wrong: list[Any] = [{}, [], {**tie, 'errors': small}, {**tie, 'crs': {'epsg': 'x'}}]
+    for damaged in wrong:
+        path.write_text(json.dumps(damaged))
+        assert export(folder, '--format', 'laz') == 1
+        assert 'georeference.json does not say where the cloud lies' in capsys.readouterr().err
 
 
 def test_what_cannot_be_exported(

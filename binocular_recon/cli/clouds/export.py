@@ -26,6 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, metavar='DIR', help='folder for the files (OUTPUT/export)'
     )
+    parser.add_argument(
+        '--georeference',
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help='put clouds into the frame of OUTPUT/georeference.json, if it is there',
+    )
 
 
 def run(args: argparse.Namespace) -> None:
@@ -38,5 +44,8 @@ def run(args: argparse.Namespace) -> None:
 
     """
     from binocular_recon.apps.export import export
+    from binocular_recon.io.exports.placement import read_placement
 
-    print(export(args.folder, args.output or args.folder / 'export', args.format))
+    tie = args.folder / 'georeference.json'
+    placement = read_placement(tie) if args.georeference and tie.exists() else None
+    print(export(args.folder, args.output or args.folder / 'export', args.format, placement))

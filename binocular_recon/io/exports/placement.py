@@ -5,16 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.errors import CalibrationError
+from binocular_recon.errors import CalibrationError, shortened
 from binocular_recon.images import FloatImage
+from binocular_recon.io.text_files import number, numbers, read_json
 from binocular_recon.rotations import cross_matrix
 
+_REMEDY = 'georeference again'
 _SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
 # A larger element of R R^T - I is no rotation.
 _ROTATION_TOLERANCE = 1e-6
@@ -32,8 +35,8 @@ class Placement:
         t.
     scale : float
     covariance : (7, 7) float64, optional
-        Of a small turn of the cloud about its `centre` in the site's axes (rad), of the place of
-        that centre (m) and of the logarithm of the scale.
+        Of a small turn of the cloud about ``centre_m`` in the site's axes (rad), of the place of
+        that centre (m) and of the relative scale.
     centre_m : (3,) float64, optional
         Centre in the site's frame; needed with ``covariance``.
     crs : str
@@ -60,8 +63,8 @@ class Placement:
         off = np.abs(R @ R.T - np.eye(3)).max()
         if not off < _ROTATION_TOLERANCE or np.linalg.det(R) < 0 or not self.scale > 0:
             raise CalibrationError(
-                f'the placement of the cloud is damaged: R R^T differs from 1 by {off:.1e}, the'
-                f' scale is {self.scale}; georeference again'
+                f'R R^T of the placement differs from 1 by {off:.1e}, its scale is {self.scale};'
+                ' both must be those of a turn without a reflection'
             )
 
     def points(self, points_xyz: FloatArray) -> FloatArray:
@@ -105,3 +108,32 @@ class Placement:
             variance += np.einsum('nip,pq,niq->ni', effect, self.covariance, effect, optimize=True)
         sigma = np.sqrt(variance).astype(np.float32)
         return {name: sigma[:, axis] for axis, name in enumerate(_SIGMAS)}
+
+
+def read_placement(path: Path) -> Placement:
+    """Read the ``georeference.json`` of an output folder.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    CalibrationError
+        If it does not hold a placement.
+
+    """
+    content = read_json(path, _REMEDY)
+    try:
+        transform, crs = content['transform'], content.get('crs')
+        R, t, centre = (
+            numbers(name, transform[name], CalibrationError) for name in ('R', 't', 'pivot_site')
+        )
+        scale = number('scale', transform['scale'], CalibrationError)
+        covariance = numbers('covariance', content['errors']['covariance'], CalibrationError)
+        if (R.shape, t.shape, centre.shape, covariance.shape) != ((3, 3), (3,), (3,), (7, 7)):
+            raise CalibrationError('its matrices have other sizes')
+        system = f'EPSG:{int(crs["epsg"])}' if crs else ''
+        return Placement(R, t, scale, covariance, centre, system)
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise CalibrationError(
+            f'{path} does not say where the cloud lies: {shortened(error)}; {_REMEDY}'
+        ) from error

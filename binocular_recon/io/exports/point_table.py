@@ -89,7 +89,10 @@ class PointTable:
 
     def placed(self, placement: Placement | None) -> PointTable:
         """Return these points in the frame of a site."""
-        return dataclasses.replace(self, placement=placement)
+        shares = self.shares
+        if placement and placement.covariance is not None:
+            shares += ', and of the control points'
+        return dataclasses.replace(self, placement=placement, shares=shares)
 
     @property
     def crs(self) -> str:

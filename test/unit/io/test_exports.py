@@ -104,9 +104,9 @@ def test_sigmas_hold_the_share_of_the_control_points(
     found = still.sigmas(camera, zero)
     scatter = np.std(made, axis=0)[0]
     np.testing.assert_allclose([found[name][0] for name in SIGMAS], scatter, rtol=0.05)
-    with pytest.raises(CalibrationError, match=r'the scale is -1\.0; georeference again'):
+    with pytest.raises(CalibrationError, match=r'its scale is -1\.0; both must be'):
         Placement(TURN, UTM_M, -1.0)
-    with pytest.raises(CalibrationError, match=r'R R\^T differs from 1 by'):
+    with pytest.raises(CalibrationError, match=r'R R\^T of the placement differs from 1 by'):
         Placement(TURN * 1.01, UTM_M)
 
 
