@@ -14,8 +14,8 @@ from binocular_recon.errors import ConfigError, FileError
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.files import ClaimedFolder, complete_files
 
-# Formats that can be made from what an output folder holds.
 _STORED = {*dir(StoredFrame), *(field.name for field in fields(StoredFrame))}
+# Formats that can be made from what an output folder holds.
 EXPORTS = {name: spec for name, spec in FRAME_FORMATS.items() if _STORED.issuperset(spec.needs)}
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
-from binocular_recon.errors import ConfigError, FileError
+from binocular_recon.errors import CalibrationError, ConfigError, FileError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.exports.depth import DepthGeometry
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.exports.point_table import PointTable
-from binocular_recon.io.text_files import numbers, read_json
+from binocular_recon.io.text_files import numbers
 
 _REMEDY = 'give the folder that `reconstruct --output` wrote'
 
@@ -98,21 +99,21 @@ def stored_frames(folder: Path, placement: Placement | None = None) -> Iterator[
     path = folder / 'summary.json'
     if not path.exists():
         raise FileError(f'{folder} holds no results: there is no summary.json; {_REMEDY}')
-    summary = read_json(path, _REMEDY)
     try:
+        summary = json.loads(path.read_bytes())
         options = summary['options']['cloud']
         thinned = options['decimation'] > 1 or options['voxel_size'] > 0
         for frame in summary['frames']:
             calibration = frame.get('calibration', summary['calibration'])
             geometry = _geometry(calibration, summary['frame'])
             yield StoredFrame(folder, int(frame['index']), geometry, thinned, placement)
+    except OSError as error:
+        raise FileError(f'{path} cannot be read: {error.strerror}; {_REMEDY}') from error
     except (LookupError, TypeError, ValueError) as error:
-        if isinstance(error, FileError):
-            raise
         raise FileError(f'{path} is damaged or of another version; {_REMEDY}') from error
 
 
 def _geometry(calibration: Any, frame: str) -> DepthGeometry:
     width, height = calibration['image_size']
-    P = numbers('P', calibration['left']['P'], FileError)
+    P = numbers('P', calibration['left']['P'], CalibrationError)
     return DepthGeometry((width, height), P, calibration['baseline_m'], frame)

@@ -16,6 +16,7 @@ from binocular_recon.errors import FileError
 from binocular_recon.io.pairs.capture_times import capture_time_ns
 from binocular_recon.pairing import Synchronizer
 
+# What may tell which images belong together.
 PAIR_BY = ('number', 'order', 'time')
 # Share of the smaller number of images that must have a partner before numbers are believed.
 _LEAST_COMMON = 0.5
