@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,9 @@ def write_ply(
     """
     vertices = vertices_of(cloud, validity, bgr)
     lines = frame_lines(frame)
-    write_vertices(path, [vertices], len(vertices), sigma_shares(cloud.calibrated), lines)
+    write_vertices(
+        path, vertices.dtype, [vertices], len(vertices), sigma_shares(cloud.calibrated), lines
+    )
     return len(vertices)
 
 
@@ -95,7 +98,12 @@ def vertex_kind(scalars: Iterable[str], coordinate: str = '<f4') -> np.dtype[np.
 
 
 def write_vertices(
-    path: Path, parts: Iterable[Vertices], count: int, shares: str, frame: Sequence[str]
+    path: Path,
+    kind: np.dtype[np.void],
+    parts: Iterable[Vertices],
+    count: int,
+    shares: str,
+    frame: Sequence[str],
 ) -> None:
     """Write vertices, given in parts of one layout.
 
@@ -103,8 +111,9 @@ def write_vertices(
     ----------
     path : Path
         File to write; its folder must exist.
+    kind : structured dtype
+        Their layout, as `vertex_kind` returns it.
     parts : iterable of (n,) structured
-        Vertices of the layout `vertex_kind`; at least one part.
     count : int
         Number of all vertices.
     shares : str
@@ -119,9 +128,8 @@ def write_vertices(
 
     """
     with complete_file(path) as file:
-        for number, vertices in enumerate(parts):
-            if number == 0:
-                file.write(_header(vertices.dtype, count, shares, frame))
+        file.write(_header(kind, count, shares, frame))
+        for vertices in parts:
             file.write(vertices.data)
 
 
@@ -142,10 +150,45 @@ def _header(kind: np.dtype[np.void], count: int, shares: str, frame: Sequence[st
     return '\n'.join(lines).encode()
 
 
-def read_ply(path: Path) -> tuple[Vertices, list[str]]:
-    """Return the vertices of a file that `write_ply` wrote, and its comments.
+@dataclass(frozen=True)
+class StoredVertices:
+    """Vertices that stay in their file until a part of them is asked for.
 
-    They stay in the file until they are used, so a large cloud needs little memory.
+    Attributes
+    ----------
+    path : Path
+    dtype : structured
+        Their layout.
+    count : int
+    offset : int
+        Where they begin in the file, bytes.
+
+    """
+
+    path: Path
+    dtype: np.dtype[np.void]
+    count: int
+    offset: int
+
+    def __len__(self) -> int:
+        """Return the number of vertices."""
+        return self.count
+
+    def __getitem__(self, part: slice) -> Vertices:
+        """Return a part of them; raises a FileError if it cannot be read."""
+        begin, end, _ = part.indices(self.count)
+        offset = self.offset + begin * self.dtype.itemsize
+        try:
+            with self.path.open('rb') as file:
+                file.seek(offset)
+                data = file.read((end - begin) * self.dtype.itemsize)
+            return np.frombuffer(data, self.dtype, end - begin)
+        except (OSError, ValueError) as error:  # it has changed meanwhile
+            raise FileError(f'{self.path} cannot be read: {shortened(error)}') from error
+
+
+def read_ply(path: Path) -> tuple[StoredVertices, list[str]]:
+    """Return the vertices of a file that `write_ply` wrote, and its comments.
 
     Raises
     ------
@@ -173,6 +216,4 @@ def read_ply(path: Path) -> tuple[Vertices, list[str]]:
         raise FileError(
             f'{path} is not a cloud of this program ({shortened(error)}); reconstruct again'
         ) from error
-    if not count:
-        return np.empty(0, kind), comments
-    return np.memmap(path, kind, 'r', len(head + end), (count,)), comments
+    return StoredVertices(path, kind, count, len(head + end)), comments

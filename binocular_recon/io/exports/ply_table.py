@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,17 +20,17 @@ def write_ply_table(path: Path, table: PointTable) -> None:
 
     Raises a FileError if the file cannot be written.
     """
-    parts: Iterable[Vertices] = [table.vertices]
-    if table.placement:
+    if table.placement is None:
+        kind, parts = table.vertices.dtype, table.parts()
+    else:
         low, high = table.bounds()
         large = max(np.abs(low).max(), np.abs(high).max()) > _SINGLE_M
-        parts = _parts(table, vertex_kind(table.scalar_names, '<f8' if large else '<f4'))
-    write_vertices(path, parts, len(table), table.shares, table.frame_lines)
+        kind = vertex_kind(table.scalar_names, '<f8' if large else '<f4')
+        parts = _parts(table, kind)
+    write_vertices(path, kind, parts, len(table), table.shares, table.frame_lines)
 
 
 def _parts(table: PointTable, kind: np.dtype[np.void]) -> Iterator[Vertices]:
-    if not len(table):
-        yield np.empty(0, kind)
     for chunk in table.chunks():
         vertices = np.empty(len(chunk.xyz), kind)
         vertices['x'], vertices['y'], vertices['z'] = chunk.xyz.T

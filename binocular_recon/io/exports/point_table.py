@@ -14,7 +14,14 @@ import numpy.typing as npt
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.io.exports.placement import Placement
-from binocular_recon.io.ply import CAMERA_FRAME, SCALAR, Vertices, read_ply, vertices_of
+from binocular_recon.io.ply import (
+    CAMERA_FRAME,
+    SCALAR,
+    StoredVertices,
+    Vertices,
+    read_ply,
+    vertices_of,
+)
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.stereo.triangulation import Cloud
 
@@ -48,7 +55,7 @@ class PointTable:
     Attributes
     ----------
     vertices : (N,) structured
-        In the camera's frame, laid out as in a PLY file, and perhaps still in it.
+        In the camera's frame, laid out as in a PLY file, or still in it.
     shares : str
         What the standard deviations hold.
     frame : tuple of str
@@ -58,7 +65,7 @@ class PointTable:
 
     """
 
-    vertices: Vertices
+    vertices: Vertices | StoredVertices
     shares: str
     frame: tuple[str, ...] = (CAMERA_FRAME,)
     placement: Placement | None = None
@@ -115,10 +122,14 @@ class PointTable:
             return found
         return [*SIGMAS, *(name for name in found if name not in SIGMAS)]
 
+    def parts(self, size: int = CHUNK) -> Iterator[Vertices]:
+        """Yield the vertices, in the camera's frame, in parts of at most ``size``."""
+        for begin in range(0, len(self.vertices), size):
+            yield self.vertices[begin : begin + size]
+
     def chunks(self, size: int = CHUNK) -> Iterator[PointChunk]:
         """Yield the points in parts of at most ``size``."""
-        for begin in range(0, len(self.vertices), size):
-            part = np.asarray(self.vertices[begin : begin + size])
+        for part in self.parts(size):
             xyz = _coordinates(part)
             names = part.dtype.names or ()
             scalars = {
@@ -136,8 +147,8 @@ class PointTable:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Return the least and the largest coordinates, (3,) float64 each; 0 without a point."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for begin in range(0, len(self.vertices), CHUNK):
-            xyz = _coordinates(self.vertices[begin : begin + CHUNK])
+        for part in self.parts():
+            xyz = _coordinates(part)
             xyz = self.placement.points(xyz) if self.placement else xyz
             low = np.minimum(low, xyz.min(axis=0))
             high = np.maximum(high, xyz.max(axis=0))

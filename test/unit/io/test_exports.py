@@ -177,12 +177,12 @@ def test_ply_has_double_precision_where_it_needs_it(
     for one, kind in ((placed, '<f8'), (table, '<f4')):
         write_ply_table(tmp_path / 'a.ply', one)
         vertices, comments = read_ply(tmp_path / 'a.ply')
-        assert vertices.dtype['x'].str == kind
+        assert vertices.dtype['x'].str == kind and len(vertices) == COUNT - 1
         assert vertices.dtype.names is not None
         assert vertices.dtype.names[6:] == tuple(
             f'scalar_{name}' for name in (*SIGMAS, 'validity')
         )
-        xyz = np.stack([vertices[name] for name in 'xyz'], axis=-1)
+        xyz = np.stack([vertices[:][name] for name in 'xyz'], axis=-1)
         np.testing.assert_array_equal(xyz, whole(one)[0])
         assert any('matching and calibration' in text for text in comments)
         again = PointTable.of_file(tmp_path / 'a.ply')
