@@ -24,6 +24,8 @@ SCALAR = 'scalar_'
 _PLY_TYPE = {'<f4': 'float', '<f8': 'double', '|u1': 'uchar'}
 _KINDS = {name: kind for kind, name in _PLY_TYPE.items()}
 CAMERA_FRAME = 'left rectified optical frame: x right, y down, z forward, metres'
+# Scalars that every cloud has.
+_LEAST = ('sigma_z', 'validity')
 _FIRST = ['ply', 'format binary_little_endian 1.0']
 # A header has less than 1 kB.
 _HEADER_LIMIT = 1 << 16
@@ -206,8 +208,8 @@ def read_ply(path: Path) -> tuple[StoredVertices, list[str]]:
             raise ValueError('no binary little-endian PLY of vertices')
         count = int(fields[0][2])
         kind = np.dtype([(name, _KINDS[form]) for _, form, name in fields[1:]])
-        if not {'x', 'y', 'z', 'red', 'green', 'blue'} <= set(kind.names or ()):
-            raise ValueError('no coordinates or no colour')
+        if not set(vertex_kind(_LEAST).names or ()) <= set(kind.names or ()):
+            raise ValueError('coordinates, colour, sigma_z or validity are missing')
         if path.stat().st_size != len(head + end) + count * kind.itemsize:
             raise ValueError('its size is not that of its points')
     except OSError as error:
