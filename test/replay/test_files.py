@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.cli.main import main
 from binocular_recon.io.calibration_yaml import write_rig
 from test.bag_tools import HEIGHT, WIDTH, image_pair, rig, stereo_records, write_bag
@@ -200,6 +201,30 @@ def test_two_videos_and_one_give_the_clouds_of_the_bag(
     said = capsys.readouterr().err
     assert 'paired by their times: left.mkv (96x72 px, 4 frames, 10 per second) with' in said
     assert 'both.mkv (192x72 px, 4 frames, 10 per second) shows left and right side' in said
+
+
+def test_an_interrupted_video_is_continued(
+    calibration: Path, of_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = write_video(tmp_path / 'left.mkv', [pair[0] for pair in PAIRS])
+    right = write_video(tmp_path / 'right.mkv', [pair[1] for pair in PAIRS])
+    cloud, made = FRAME_FORMATS['ply'], list[str]()
+
+    def interrupt(path: Path, *parts: Any) -> None:
+        made.append(path.name)
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        cloud.write(path, *parts)
+
+    monkeypatch.setitem(FRAME_FORMATS, 'ply', cloud._replace(write=interrupt))
+    assert run(calibration, tmp_path / 'out', left, right) == 130
+    assert frames_of(tmp_path / 'out') == 2
+    (tmp_path / 'moved').mkdir()  # where they lie does not matter
+    moved = [Path(path).rename(tmp_path / 'moved' / Path(path).name) for path in (left, right)]
+    assert run(calibration, tmp_path / 'out', *map(str, moved)) == 0
+    assert made == [f'00000{index}.ply' for index in (0, 1, 2, 2, 3)]
+    for path in of_bag.glob('*.ply'):
+        assert (tmp_path / 'out' / path.name).read_bytes() == path.read_bytes()
 
 
 def test_a_lost_frame_of_a_video_costs_one_pair(
