@@ -37,7 +37,7 @@ def frame_entry(
         'points': int(np.count_nonzero(points)),
     }
     findings = reconstruction.findings
-    if findings.rows.points:
+    if math.isfinite(findings.rows.median_px):  # enough points were found
         entry['row_offset_px'] = round(findings.rows.median_px, 3)
     if findings.warnings or findings.cause:
         entry['findings'] = [*findings.warnings, *filter(None, [findings.cause])]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -14,7 +15,9 @@ import pytest
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.cli.main import main
+from binocular_recon.errors import ImageError
 from binocular_recon.io.calibration_yaml import write_rig
+from binocular_recon.io.pairs.video import Video, VideoFrame
 from test.bag_tools import HEIGHT, WIDTH, image_pair, rig, stereo_records, write_bag
 from test.replay.reconstruction import RANGE, frames_of, reconstruct
 
@@ -270,10 +273,11 @@ def test_videos_that_are_broken_or_do_not_fit(
             assert frames_of(output) == frames
 
 
-def test_frames_of_16_bits_keep_them(tmp_path: Path) -> None:
-    from binocular_recon.io.pairs.video import Video
-
+def test_frames_of_16_bits_keep_them_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     grey = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH) * 9
     with Video(Path(write_video(tmp_path / 'grey.mkv', [grey]))) as video:
         frames = [frame.image('grey') for frame in video.frames()]
     np.testing.assert_array_equal(frames[0], grey)
+    damaged = VideoFrame(3, 0, SimpleNamespace(is_corrupt=True))
+    with pytest.raises(ImageError, match=r'grey\.mkv #3 is damaged; record it again'):
+        damaged.image('grey.mkv #3')

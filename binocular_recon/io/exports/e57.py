@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon import __version__
-from binocular_recon.errors import FileError, shortened
+from binocular_recon.errors import FileError
 from binocular_recon.io.exports.point_table import CHUNK, PointChunk, PointTable
 from binocular_recon.io.exports.reference_system import wkt_of
 from binocular_recon.io.files import complete_files
@@ -58,9 +58,9 @@ def write_e57(path: Path, table: PointTable) -> None:
             with closing(lib.ImageFile(str(part), 'w')) as file:
                 _Scan(lib, file, table).write()
         except lib.E57Exception as error:
+            reason = str(error).partition('****')[0].strip()  # then where in the library
             raise FileError(
-                f'{path} cannot be written: {shortened(error)}; free some space or write to'
-                ' another disk'
+                f'{path} cannot be written: {reason}; free some space or write to another disk'
             ) from error
 
 

@@ -26,9 +26,12 @@ class VideoFrame(NamedTuple):
     content: Any
 
     def image(self, name: str) -> Image:
-        """Return it as grey or BGR, 8 or 16 bit; raises an ImageError if it is damaged."""
+        """Return it as grey or BGR, 8 or 16 bit; raises an ImageError if it is damaged.
+
+        ``name`` says what it is, for the error.
+        """
         if self.content.is_corrupt:
-            raise ImageError(f'frame {self.number} of {name} is damaged; record it again')
+            raise ImageError(f'{name} is damaged; record it again')
         depth = max(component.bits for component in self.content.format.components)
         grey = self.content.format.name.startswith('gray')
         kind = ('gray', 'bgr24') if depth <= 8 else ('gray16le', 'bgr48le')
