@@ -73,5 +73,5 @@ def export(
     count = f'{len(frames)} frames' if len(frames) > 1 else '1 frame'
     where = ''
     if placement:
-        where = f', clouds in the frame of the control points ({placement.crs or "local"})'
+        where = f', clouds in the frame of the site ({placement.crs or "local"})'
     return f'{count} as {", ".join(specs)} in {output}{where}'

@@ -89,7 +89,7 @@ def test_clouds_lie_where_the_control_points_say(
     path = folder / 'georeference.json'
     path.write_text(json.dumps(tie))
     assert export(folder, '--format', 'laz,tiff') == 0
-    assert 'in the frame of the control points (EPSG:32632)\n' in capsys.readouterr().out
+    assert 'in the frame of the site (EPSG:32632)\n' in capsys.readouterr().out
     las = laspy.read(folder / 'export' / '000000.laz')
     vertices = read_ply(output / '000000.ply')
     placed = vertices['xyz'].astype(float) @ turn.T + pivot_site

@@ -98,7 +98,7 @@ class PointTable:
         """Return these points in the frame of a site."""
         shares = self.shares
         if placement and placement.covariance is not None:
-            shares += ', and of the control points'
+            shares += ', and of the georeference'
         return dataclasses.replace(self, placement=placement, shares=shares)
 
     @property
@@ -111,7 +111,7 @@ class PointTable:
         """What the frame of the points is."""
         if self.placement is None:
             return self.frame
-        return (f'frame of the control points, metres{f", {self.crs}" if self.crs else ""}',)
+        return (f'frame of the site, metres{f", {self.crs}" if self.crs else ""}',)
 
     @property
     def scalar_names(self) -> list[str]:

@@ -131,7 +131,7 @@ def test_las_keeps_a_tenth_of_a_millimetre_at_utm_coordinates(
     assert las.header.parse_crs().to_epsg() == 32632
     assert las.header.global_encoding.wkt
     text = next(vlr for vlr in las.header.vlrs if vlr.record_id == 3).record_data_bytes()
-    assert b'control points' in text and b'matching and calibration' in text
+    assert b'frame of the site' in text and b'matching and calibration' in text
 
 
 def test_e57_has_colour_sigmas_and_double_precision(placed: PointTable, tmp_path: Path) -> None:
