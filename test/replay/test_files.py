@@ -121,6 +121,7 @@ def test_images_that_cannot_be_used_are_left_out_one_by_one(
         (('left',), 2, 'is a folder of images; give the images of the left and of the right'),
         (('left', 'left'), 1, 'is named for both cameras'),
         (('left', 'film.mp4'), 1, 'are a video and images; give two of one kind'),
+        (('bag.mcap', '--pair-by', 'order'), 2, '--pair-by is an option of image files and'),
     ],
 )
 def test_wrong_arguments(
