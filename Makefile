@@ -17,8 +17,8 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon fuzz evaluate benchmark docs nodes-page site images maintainers lock dist clean \
-        distclean
+        jazzy-environment colcon clients fuzz evaluate benchmark docs nodes-page site images maintainers \
+        lock dist clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -93,6 +93,11 @@ endif
 colcon: setup ## build, install and test as a ROS workspace does
 	@$(INSTALL) .venv-colcon colcon
 	.ci/colcon
+
+clients: setup ## real programs open our clouds: CloudCompare under Xvfb
+	@command -v CloudCompare >/dev/null && command -v xvfb-run >/dev/null || \
+	    { echo 'needs CloudCompare and Xvfb: apt-get install cloudcompare xvfb xauth'; exit 1; }
+	$(PYTEST) -q test/clients
 
 MINUTES ?= 10
 

@@ -53,3 +53,7 @@ class BagError(BinocularReconError):
 
 class FileError(BinocularReconError, OSError):
     """A file cannot be read or written."""
+
+
+class DependencyError(BinocularReconError):
+    """A package is missing that only some users need."""

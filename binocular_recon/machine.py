@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine and the software versions that a result depends on."""
+"""The machine and the software that a result depends on, and packages that may be missing."""
 
 from __future__ import annotations
 
+import importlib
 import platform
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -14,6 +16,10 @@ import scipy
 
 from binocular_recon import __version__
 from binocular_recon._jit import thread_count
+from binocular_recon.errors import DependencyError, shortened
+
+# The extra that installs each package.
+EXTRAS = {'av': 'video', 'laspy': 'survey', 'lazrs': 'survey', 'pyproj': 'survey', 'pye57': 'e57'}
 
 
 def peak_bytes() -> int | None:
@@ -56,3 +62,30 @@ def _processor() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
+
+
+def optional_package(name: str, purpose: str) -> ModuleType:
+    """Import a package of an extra.
+
+    Parameters
+    ----------
+    name : str
+        One of `EXTRAS`.
+    purpose : str
+        What it is needed for, such as ``LAZ files``, for the error.
+
+    Raises
+    ------
+    DependencyError
+        If it cannot be imported.
+
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == name
+        reason = 'is not installed' if missing else f'cannot be imported: {shortened(error)}'
+        raise DependencyError(
+            f'{purpose} need the package {name}, which {reason}; install it with'
+            f" pip install 'binocular_recon[{EXTRAS[name]}]'"
+        ) from error

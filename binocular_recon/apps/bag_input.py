@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which pairs of which bag are reconstructed."""
+"""The pairs of a bag."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from binocular_recon.apps.earlier_run import fingerprint
-from binocular_recon.inputs.options import PairingOptions
-from binocular_recon.io.bags.stereo_topics import StereoTopics
+from binocular_recon.apps.pair_input import OpenInput, PairInput
+from binocular_recon.errors import BagError
+from binocular_recon.io.bags.reader import Bag
+from binocular_recon.io.bags.stereo_bag import StereoBag
+from binocular_recon.io.bags.stereo_topics import (
+    StereoTopics,
+    find_stereo_topics,
+    name_stereo_topics,
+)
+from binocular_recon.io.calibration_yaml import read_rig
 
 
 @dataclass(frozen=True)
-class BagInput:
+class BagInput(PairInput):
     """A bag and the pairs of it that are reconstructed.
 
     Attributes
@@ -25,22 +33,10 @@ class BagInput:
         Namespace of the rig.
     images, infos : (str, str), optional
         Topics of left and right if they do not have the usual names.
-    rectified : bool, optional
-        Whether ``images`` are rectified; by default as `is_rectified` says.
-    calibration : Path, optional
-        Calibration that replaces the recorded camera infos, as `read_rig` reads it.
-    alpha : float
-        Passed to `Rectifier`.
-    tolerance_ns : int
-        Largest difference between the stamps of a pair.
-    pairing : PairingOptions
-        What tells that images belong together.
-    every : int
-        Reconstruct every Nth pair.
-    max_frames : int, optional
-        Stop after this many frames.
-    near_m, far_m : float, optional
-        Depths that are searched, instead of a range in pixels.
+
+    Notes
+    -----
+    The calibration, if there is one, replaces the recorded camera infos.
 
     """
 
@@ -48,21 +44,46 @@ class BagInput:
     namespace: str | None = None
     images: tuple[str, str] | None = None
     infos: tuple[str, str] | None = None
-    rectified: bool | None = None
-    calibration: Path | None = None
-    alpha: float = -1.0
-    tolerance_ns: int = 0
-    pairing: PairingOptions = field(default_factory=PairingOptions)
-    every: int = 1
-    max_frames: int | None = None
-    near_m: float | None = None
-    far_m: float = math.inf
 
-    def facts(self, topics: StereoTopics) -> dict[str, Any]:
-        """Return what the frames depend on besides the options of the chain, for the summary."""
-        facts = {**dataclasses.asdict(self), **topics._asdict(), 'bag': str(self.bag)}
-        facts['far_m'] = self.far_m if math.isfinite(self.far_m) else None
-        facts['files'] = fingerprint(self.bag)
-        if self.calibration is not None:
-            facts['calibration'] = fingerprint(self.calibration)
-        return facts
+    @contextmanager
+    def open(self) -> Iterator[OpenInput]:
+        """Open the bag.
+
+        Raises
+        ------
+        BagError
+            If it is not a bag, or does not hold what is named.
+        BinocularReconError
+            If the calibration cannot be used.
+
+        """
+        with Bag(self.bag) as bag:
+            topics = self._topics(bag)
+            rig = (
+                read_rig(self.calibration, rectified=topics.rectified)
+                if self.calibration
+                else None
+            )
+            pairs = StereoBag(
+                bag, topics, rig, tolerance_ns=self.tolerance_ns, pairing=self.pairing
+            )
+            versions = {'rosbags': version('rosbags')}
+            facts = {
+                **self.facts(),
+                **topics._asdict(),
+                'bag': str(self.bag),
+                'files': fingerprint(self.bag),
+            }
+            yield OpenInput(pairs, topics.rectified, facts, versions, [], BagError)
+
+    def _topics(self, bag: Bag) -> StereoTopics:
+        calibrated = self.calibration is not None
+        if self.images is None:
+            return find_stereo_topics(bag.topics, self.namespace, calibrated=calibrated)
+        return name_stereo_topics(
+            bag.topics,
+            self.images,
+            self.infos,
+            rectified=self.rectified,
+            calibrated=calibrated,
+        )

@@ -18,7 +18,7 @@ from binocular_recon.errors import FileError
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
 # Where a recording lies does not matter.
-_ANYWHERE = {'source.bag'}
+_ANYWHERE = {'source.bag', 'source.left', 'source.right', 'source.video'}
 # Of each end of a file of a recording so much is compared, bytes.
 _END = 1 << 16
 
@@ -68,6 +68,14 @@ def fingerprint(path: Path) -> dict[str, str]:
     """
     files = sorted(one for one in path.rglob('*') if one.is_file()) if path.is_dir() else [path]
     return {one.name: _digest(one) for one in files}
+
+
+def joint_fingerprint(files: list[Path]) -> str:
+    """Return the number of files and one digest of their names, sizes and both ends of each."""
+    joint = hashlib.sha256()
+    for path in files:
+        joint.update(f'{path.name}: {_digest(path)}\n'.encode(errors='surrogateescape'))
+    return f'{len(files)} files, {joint.hexdigest()[:16]}'
 
 
 def _digest(path: Path) -> str:

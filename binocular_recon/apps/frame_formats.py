@@ -3,26 +3,39 @@
 
 To add a format, write a function that takes the file's path and the parts of the frame it needs,
 and add an entry. The output folder then writes the file for each frame and removes it with its
-frame.
+frame. A format whose parts are all in an output folder (`stored_frame`) can be made later, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from binocular_recon.camera import StereoRig
 from binocular_recon.drawing.clouds import draw_cloud
 from binocular_recon.drawing.colormap import heat_map_with_scale
+from binocular_recon.errors import ConfigError
 from binocular_recon.images import ByteImage, FloatImage, to_bgr8
+from binocular_recon.io.exports.depth import (
+    DepthGeometry,
+    write_depth_drawing,
+    write_depth_png,
+    write_depth_tiff,
+)
+from binocular_recon.io.exports.e57 import write_e57
+from binocular_recon.io.exports.las import write_las
+from binocular_recon.io.exports.ply_table import write_ply_table
+from binocular_recon.io.exports.point_table import PointTable
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
-from binocular_recon.io.ply import write_ply
+from binocular_recon.io.ply import frame_lines
+from binocular_recon.machine import optional_package
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import frame_text
 from binocular_recon.stereo.thinning import PointSet
@@ -71,6 +84,25 @@ class FrameResult:
         return frame_text(self.rig.left)
 
     @cached_property
+    def table(self) -> PointTable:
+        """The valid points, as formats of clouds take them."""
+        cloud, validity, bgr = self.points
+        assert bgr is not None  # a frame has colour
+        return PointTable.of_cloud(cloud, validity, bgr, tuple(frame_lines(self.frame)))
+
+    @property
+    def depth_m(self) -> FloatImage:
+        """Depth of each pixel that has a point, (H, W) float32, m; NaN = none."""
+        return self.cloud.depth_m
+
+    @property
+    def geometry(self) -> DepthGeometry:
+        """What `depth_m` is of."""
+        left = self.rig.left
+        frame = f'left rectified optical frame: {self.frame}'
+        return DepthGeometry(left.size, left.P, self.rig.baseline_m, frame)
+
+    @cached_property
     def left_bgr(self) -> ByteImage:
         """The rectified left image, (H, W, 3) uint8."""
         return to_bgr8(self.reconstruction.left, self.reconstruction.levels)
@@ -89,6 +121,10 @@ class FrameFormat(NamedTuple):
         Writes the file; raises a FileError if it cannot be written.
     on_request : bool
         Whether the file is written only if its format is asked for by name.
+    side_ending : str
+        Ending of a second file that belongs to it; empty if there is none.
+    packages : dict of str to str
+        Optional packages that ``write`` needs, and for what.
 
     """
 
@@ -96,8 +132,15 @@ class FrameFormat(NamedTuple):
     needs: tuple[str, ...]
     write: Callable[..., object]
     on_request: bool = False
+    side_ending: str = ''
+    packages: Mapping[str, str] = MappingProxyType({})
 
-    def write_frame(self, folder: Path, index: int, frame: FrameResult) -> None:
+    @property
+    def endings(self) -> list[str]:
+        """Endings of all files of the format."""
+        return [ending for ending in (self.ending, self.side_ending) if ending]
+
+    def write_frame(self, folder: Path, index: int, frame: Any) -> None:
         """Write the file of frame number ``index`` to ``folder``."""
         parts = (getattr(frame, name) for name in self.needs)
         self.write(folder / f'{index:06d}{self.ending}', *parts)
@@ -107,23 +150,55 @@ def _write_heat_map(path: Path, disparity_px: FloatImage) -> None:
     write_image_file(path, heat_map_with_scale(disparity_px, 'px'))
 
 
-def _write_points(path: Path, points: PointSet, frame: str) -> None:
-    cloud, validity, bgr = points
-    assert bgr is not None  # a frame has colour
-    write_ply(path, cloud, validity, bgr, frame=frame)
-
-
 def _write_drawing(path: Path, cloud: Cloud, bgr: ByteImage) -> None:
     """Write the left image and, beside it, the cloud from an oblique view."""
     drawing = draw_cloud(cloud.points_xyz, bgr, (bgr.shape[1], bgr.shape[0]))
     write_image_file(path, np.hstack([bgr, drawing]))
 
 
+_LAS, _LAZ = {'laspy': 'LAS and LAZ files'}, {'lazrs': 'LAZ files'}
+
 # The files of each frame, by a name for each; a new format is a new entry.
 FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
     'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
-    'cloud': FrameFormat('.ply', ('points', 'frame'), _write_points),
+    'ply': FrameFormat('.ply', ('table',), write_ply_table),
     'drawing': FrameFormat('_cloud.png', ('cloud', 'left_bgr'), _write_drawing, on_request=True),
+    'las': FrameFormat('.las', ('table',), write_las, True, packages=_LAS),
+    'laz': FrameFormat('.laz', ('table',), write_las, True, packages=_LAS | _LAZ),
+    'e57': FrameFormat('.e57', ('table',), write_e57, True, packages={'pye57': 'E57 files'}),
+    'tiff': FrameFormat(
+        '_depth.tiff', ('depth_m', 'geometry'), write_depth_tiff, True, '_depth.json'
+    ),
+    'png': FrameFormat(
+        '_depth_mm.png', ('depth_m', 'geometry'), write_depth_png, True, '_depth_mm.json'
+    ),
+    'grey': FrameFormat(
+        '_depth_grey.png', ('depth_m',), partial(write_depth_drawing, coloured=False), True
+    ),
+    'colour': FrameFormat(
+        '_depth_colour.png', ('depth_m',), partial(write_depth_drawing, coloured=True), True
+    ),
 }
+
+
+def formats_named(names: Collection[str]) -> dict[str, FrameFormat]:
+    """Return formats by their names, once all that they need is there.
+
+    Raises
+    ------
+    ConfigError
+        If a format is unknown.
+    DependencyError
+        If a package is not installed that one needs.
+
+    """
+    for name in names:
+        if name not in FRAME_FORMATS:
+            raise ConfigError(
+                f'frame formats must be among {", ".join(FRAME_FORMATS)}, got {name!r}'
+            )
+        for package, purpose in FRAME_FORMATS[name].packages.items():
+            optional_package(package, purpose)
+    return {name: spec for name, spec in FRAME_FORMATS.items() if name in names}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.apps.earlier_run import earlier_run
-from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult
+from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult, formats_named
 from binocular_recon.apps.summary_entries import (
     RIG_ENTRY,
     calibration_entry,
@@ -20,7 +20,6 @@ from binocular_recon.apps.summary_entries import (
     frame_entry,
 )
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import ConfigError
 from binocular_recon.io.files import ClaimedFolder, complete_files, write_json
 from binocular_recon.number_text import reach
 from binocular_recon.stereo.pipeline import Reconstruction
@@ -71,6 +70,8 @@ class ResultFolder:
     ------
     ConfigError
         If a format is unknown.
+    DependencyError
+        If a package is not installed that one needs.
     FileError
         If the folder cannot be made, another process writes to it, or the run in it was
         interrupted and cannot be continued.
@@ -85,22 +86,14 @@ class ResultFolder:
         formats: Collection[str] = (),
         resume: bool = False,
     ) -> None:
-        unknown = [name for name in formats if name not in FRAME_FORMATS]
-        if unknown:
-            raise ConfigError(
-                f'frame formats must be among {", ".join(FRAME_FORMATS)}, got {unknown[0]!r}'
-            )
+        always = [name for name, spec in FRAME_FORMATS.items() if not spec.on_request]
+        self._formats = formats_named([*always, *formats])
         self._claim = ClaimedFolder(folder)
         self.folder = folder
-        self._formats = {
-            name: spec
-            for name, spec in FRAME_FORMATS.items()
-            if not spec.on_request or name in formats
-        }
         self._made_from = {**made_from, 'formats': list(self._formats)}
         before: dict[str, Any] = {}
         if resume:
-            endings = [spec.ending for spec in self._formats.values()]
+            endings = [one for spec in self._formats.values() for one in spec.endings]
             before = earlier_run(folder, self._made_from, endings) or {}
         progress = before.get('progress') or {}
         self.frames: list[dict[str, Any]] = before.get('frames', [])
@@ -124,18 +117,20 @@ class ResultFolder:
 
     def add(
         self,
-        stamp_ns: int,
+        stamp_ns: int | None,
         rig: StereoRig,
         reconstruction: Reconstruction,
         seconds: float,
         chain_state: dict[str, Any] | None = None,
+        *,
+        names: tuple[str, str] | None = None,
     ) -> None:
         """Write all files of a frame or none; raises a FileError if they cannot be written.
 
         Parameters
         ----------
-        stamp_ns : int
-            Stamp of the pair.
+        stamp_ns : int, optional
+            Stamp of the pair, if it is known.
         rig : StereoRig
             Its calibration.
         reconstruction : Reconstruction
@@ -144,11 +139,15 @@ class ResultFolder:
             Time that it took.
         chain_state : dict, optional
             `Chain.state` after it.
+        names : (str, str), optional
+            What the images of the pair are called.
 
         """
         index = len(self.frames)
         result = FrameResult(reconstruction, rig)
         entry = frame_entry(index, stamp_ns, result, seconds)
+        if names:
+            entry['images'] = list(names)
         rig_entry = self._rig or first_rig_entry(result)
         calibration = calibration_entry(rig)
         if calibration != rig_entry['calibration']:
@@ -170,10 +169,16 @@ class ResultFolder:
         self._save_progress()
 
     def leave_out(
-        self, stamp_ns: int, reason: Exception, chain_state: dict[str, Any] | None = None
+        self,
+        stamp_ns: int | None,
+        reason: Exception,
+        chain_state: dict[str, Any] | None = None,
+        *,
+        names: tuple[str, str] | None = None,
     ) -> None:
         """Note a pair that could not be reconstructed, and `Chain.state` after it."""
-        self.left_out.append({'stamp_ns': stamp_ns, 'reason': str(reason)})
+        images = {'images': list(names)} if names else {}
+        self.left_out.append({'stamp_ns': stamp_ns, **images, 'reason': str(reason)})
         self._advance(chain_state)
         self._save_progress()
 
@@ -227,9 +232,9 @@ class ResultFolder:
 
     def _drop_earlier_frames(self) -> None:
         """Remove the files of an earlier run that this run has not replaced."""
-        endings = '|'.join(re.escape(spec.ending) for spec in FRAME_FORMATS.values())
-        frame_file = re.compile(rf'(\d{{6,}})({endings})')
-        written = {spec.ending for spec in self._formats.values()}
+        every = [one for spec in FRAME_FORMATS.values() for one in spec.endings]
+        frame_file = re.compile(rf'(\d{{6,}})({"|".join(map(re.escape, every))})')
+        written = {one for spec in self._formats.values() for one in spec.endings}
         for path in self.folder.iterdir():
             found = frame_file.fullmatch(path.name)
             if found and (int(found[1]) >= len(self.frames) or found[2] not in written):

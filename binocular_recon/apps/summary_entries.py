@@ -12,17 +12,18 @@ from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.point_covariance import sigma_shares
-from binocular_recon.stereo.rectification import frame_text
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
 
 
-def frame_entry(index: int, stamp_ns: int, frame: FrameResult, seconds: float) -> dict[str, Any]:
+def frame_entry(
+    index: int, stamp_ns: int | None, frame: FrameResult, seconds: float
+) -> dict[str, Any]:
     """Return the entry of a frame; only its ``seconds`` differ from run to run."""
     reconstruction = frame.reconstruction
     points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
-    entry = {
+    entry: dict[str, Any] = {
         'index': index,
         'stamp_ns': stamp_ns,
         'density': float(np.isfinite(frame.disparity_px).mean()),
@@ -36,7 +37,7 @@ def frame_entry(index: int, stamp_ns: int, frame: FrameResult, seconds: float) -
         'points': int(np.count_nonzero(points)),
     }
     findings = reconstruction.findings
-    if findings.rows.points:
+    if math.isfinite(findings.rows.median_px):  # enough points were found
         entry['row_offset_px'] = round(findings.rows.median_px, 3)
     if findings.warnings or findings.cause:
         entry['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
@@ -53,7 +54,7 @@ def first_rig_entry(frame: FrameResult) -> dict[str, Any]:
         calibration_entry(rig),
         rig.baseline_m,
         rig.focal_px,
-        f'left rectified optical frame: {frame_text(rig.left)}',
+        frame.geometry.frame,
         sigma_shares(rig.covariance is not None),
         [depth if math.isfinite(depth) else None for depth in depths_m],
     )

@@ -28,7 +28,14 @@ PROGRAM = 'binocular-recon'
 # imported.
 COMMANDS = {
     'demo': ('clouds', 'run the whole chain on a real image pair that ships with the project'),
-    'reconstruct': ('clouds', 'turn a stereo bag into point clouds and disparity maps'),
+    'reconstruct': (
+        'clouds',
+        'turn a bag, images or videos of a rig into point clouds and disparity maps',
+    ),
+    'export': (
+        'clouds',
+        'write clouds and depth of an output folder as LAS, LAZ, E57, PLY, TIFF or PNG',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),

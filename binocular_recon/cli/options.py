@@ -24,15 +24,13 @@ NO_ROS = (
 )
 
 
+# What the argument BAG may be.
+BAG_FORMS = 'folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file, or one of these as .zstd'
+
+
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
     """Declare ``BAG``."""
-    parser.add_argument(
-        'bag',
-        type=Path,
-        metavar='BAG',
-        help='folder of a ROS 2 bag, or a .mcap, .db3 or ROS 1 .bag file, or one of these as'
-        ' .zstd',
-    )
+    parser.add_argument('bag', type=Path, metavar='BAG', help=BAG_FORMS)
 
 
 def add_output_option(

@@ -22,10 +22,13 @@ from binocular_recon.evaluation.accuracy.scenes import read_scene
 from binocular_recon.io.bags.reader import Bag, decode
 from binocular_recon.io.bags.stereo_topics import find_stereo_topics
 from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.io.exports.placement import read_placement
+from binocular_recon.io.exports.point_table import PointTable
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.messages.camera_infos import camera_from_message, rig_from_messages
 from binocular_recon.io.messages.disparities import read_disparity
 from binocular_recon.io.messages.images import read_image, stamp_ns
+from binocular_recon.io.pairs.capture_times import capture_time_ns
 from binocular_recon.io.pfm import read_pfm
 
 SEEDS = Path(__file__).parent / 'seeds'
@@ -152,6 +155,9 @@ FORMS: dict[str, Reader] = {
     'disparity': _disparity,
     'image': _image,
     'compressed_image': _compressed_image,
+    'exif': lambda data, folder: capture_time_ns(_written(data, folder / 'a.jpg')),
+    'ply': lambda data, folder: PointTable.of_file(_written(data, folder / 'a.ply')),
+    'georeference': lambda data, folder: read_placement(_written(data, folder / 'a.json')),
     'image_file': lambda data, folder: read_image_file(_written(data, folder / 'a.png')),
     'mcap': lambda data, folder: _bag(_written(data, folder / 'a.mcap')),
     'db3': lambda data, folder: _bag(_written(data, folder / 'a.db3')),

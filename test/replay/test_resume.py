@@ -34,7 +34,7 @@ from test.bag_tools import (
 from test.replay.reconstruction import RANGE, reconstruct
 
 FRAMES, LEFT_OUT = 8, 3
-CLOUD = FRAME_FORMATS['cloud']
+CLOUD = FRAME_FORMATS['ply']
 # Everything that a frame takes over from those before it.
 STATEFUL = ('--wls-video', '--drawings')
 
@@ -106,7 +106,7 @@ def test_a_run_interrupted_at_any_frame_is_continued(
         CLOUD.write(path, *parts)
 
     cloud = CLOUD._replace(write=interrupt)
-    monkeypatch.setitem(FRAME_FORMATS, 'cloud', cloud)
+    monkeypatch.setitem(FRAME_FORMATS, 'ply', cloud)
     assert reconstruct(bag, tmp_path, *STATEFUL) == 130
     assert json.loads((tmp_path / 'summary.json').read_text())['finished'] is False
     assert reconstruct(bag, tmp_path, *STATEFUL) == 1
@@ -131,7 +131,7 @@ RUNNER = """
 import json, os, sys
 import cv2
 cv2.setNumThreads(1)  # its threads would not survive the fork
-from binocular_recon.apps import bag_reconstruction
+from binocular_recon.apps import reconstruction
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
 from binocular_recon.stereo.pipeline import warm_up
@@ -208,7 +208,7 @@ def interrupted_run(bag: Path, output: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     with monkeypatch.context() as patched:
         cloud = CLOUD._replace(write=interrupt)
-        patched.setitem(FRAME_FORMATS, 'cloud', cloud)
+        patched.setitem(FRAME_FORMATS, 'ply', cloud)
         assert reconstruct(bag, output) == 130
 
 

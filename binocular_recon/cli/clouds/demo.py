@@ -27,14 +27,16 @@ def run(args: argparse.Namespace) -> None:
 
     """
     from binocular_recon.apps.bag_input import BagInput
-    from binocular_recon.apps.bag_reconstruction import reconstruct_bag
+    from binocular_recon.apps.reconstruction import reconstruct_pairs
 
     bags = shared_file('bags/motorcycle').parent
     source = BagInput(bag=bags / 'motorcycle')
     config = chain_config(args)
     print('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
     print(
-        reconstruct_bag(source, args.output, args.preset, config, formats=['drawing'], report=note)
+        reconstruct_pairs(
+            source, args.output, args.preset, config, formats=['drawing'], report=note
+        )
     )
     print(_accuracy(args.output, bags / 'motorcycle_truth' / 'disparity.png'))
     for name, content in {

@@ -45,6 +45,11 @@ class StereoFrame:
     left: Any
     right: Any
 
+    @property
+    def names(self) -> None:
+        """Messages have no names; their stamps tell them apart."""
+        return None
+
     def images(self) -> tuple[Image, Image]:
         """Return left and right, grey, BGR or BGRA.
 
@@ -120,6 +125,11 @@ class StereoBag:
         if self._ended:
             return self.images_read - 2 * self._pairs
         return self._synchronizer.dropped.total()
+
+    @property
+    def damage(self) -> list[str]:
+        """Sentences about what could not be read so far."""
+        return self._bag.damage
 
     def __iter__(self) -> Iterator[StereoFrame]:
         """Yield the pairs in the order of recording; at most 50 images of each camera wait.

@@ -19,9 +19,11 @@ from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ConfigError, FileError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.stereo.diagnosis import Findings
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
 from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.stereo.row_check import RowOffset
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
@@ -61,6 +63,16 @@ def files_of(folder: Path) -> set[str]:
 
 def expected(frames: int, endings: set[str]) -> set[str]:
     return {f'{index:06d}{ending}' for index in range(frames) for ending in endings}
+
+
+def test_rows_that_too_few_points_show_are_no_number_of_the_summary(tmp_path: Path) -> None:
+    results = ResultFolder(tmp_path, {})
+    findings = (Findings(RowOffset(points=3)), Findings(RowOffset(0.25, 0.3, 90)))
+    for found in findings:
+        results.add(0, RIG, dataclasses.replace(reconstruction(), findings=found), 0.5)
+    results.write_summary(finished=True)
+    frames = json.loads((tmp_path / 'summary.json').read_text())['frames']
+    assert [frame.get('row_offset_px') for frame in frames] == [None, 0.25]
 
 
 def test_every_format_needs_parts_that_a_frame_has() -> None:
@@ -134,8 +146,8 @@ def test_a_frame_that_cannot_be_written_leaves_no_file_and_no_entry(
 
 
 def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"must be among disparity, .*drawing, got 'las'"):
-        ResultFolder(tmp_path / 'new', {}, formats=['las'])
+    with pytest.raises(ConfigError, match=r"must be among disparity, .*drawing, .*got 'obj'"):
+        ResultFolder(tmp_path / 'new', {}, formats=['obj'])
     assert not (tmp_path / 'new').exists()
 
 

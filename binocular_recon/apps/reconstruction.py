@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reconstruct a whole bag."""
+"""Reconstruct all pairs of an input: a bag, image files or videos."""
 
 from __future__ import annotations
 
@@ -9,24 +9,15 @@ import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from binocular_recon.apps.bag_input import BagInput
 from binocular_recon.apps.output_folder import ResultFolder
+from binocular_recon.apps.pair_input import PairInput, PairStream
 from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
-from binocular_recon.errors import BagError, FileError, ImageError
-from binocular_recon.io.bags.reader import Bag
-from binocular_recon.io.bags.stereo_bag import StereoBag
-from binocular_recon.io.bags.stereo_topics import (
-    StereoTopics,
-    find_stereo_topics,
-    name_stereo_topics,
-)
-from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.errors import BinocularReconError, FileError, ImageError
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.machine import machine_facts
 from binocular_recon.stereo.pipeline import Chain, warm_up
@@ -45,8 +36,8 @@ _WITHOUT_COVARIANCE = (
 _LONG_S = 5.0
 
 
-def reconstruct_bag(
-    source: BagInput,
+def reconstruct_pairs(
+    source: PairInput,
     output: Path,
     preset: str,
     config: ChainConfig,
@@ -56,11 +47,12 @@ def reconstruct_bag(
     resume: bool = False,
     report: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Reconstruct the pairs of a bag; the files of each frame are written as it is finished.
+    """Reconstruct the pairs of an input; the files of each frame are written as it is finished.
 
     Parameters
     ----------
-    source : BagInput
+    source : PairInput
+        `BagInput` or `FileInput`.
     output : Path
         Folder for the results.
     preset : str
@@ -93,21 +85,12 @@ def reconstruct_bag(
         how many.
 
     """
-    with Bag(source.bag) as bag:
-        topics = _topics(bag, source)
-        rig = (
-            read_rig(source.calibration, rectified=topics.rectified)
-            if source.calibration
-            else None
-        )
-        stereo = StereoBag(
-            bag, topics, rig, tolerance_ns=source.tolerance_ns, pairing=source.pairing
-        )
+    with source.open() as opened:
         made_from = {
-            'source': source.facts(topics),
+            'source': opened.facts,
             'preset': preset,
             'options': dataclasses.asdict(config),
-            'versions': {**machine_facts()['versions'], 'rosbags': version('rosbags')},
+            'versions': {**machine_facts()['versions'], **opened.versions},
         }
         results = ResultFolder(output, made_from, formats=formats, resume=resume)
         try:
@@ -115,12 +98,14 @@ def reconstruct_bag(
                 report(f'{output} is finished already; --no-resume computes it again')
                 _Remarks(report).frames(results.frames)
             else:
-                rectify = not topics.rectified
-                _reconstruct(stereo, source, results, config, report, rectify=rectify)
+                for text in opened.remarks:
+                    report(text)
+                pairs, rectify = opened.pairs, not opened.rectified
+                _reconstruct(pairs, source, results, config, report, rectify=rectify)
                 results.facts = {
-                    'unpaired': stereo.unpaired,
-                    'images_read': stereo.images_read,
-                    'damage': bag.damage,
+                    'unpaired': pairs.unpaired,
+                    'images_read': pairs.images_read,
+                    'damage': pairs.damage,
                 }
                 results.write_summary(finished=True, **results.facts)
         except BaseException as error:
@@ -132,7 +117,7 @@ def reconstruct_bag(
             raise
         finally:
             results.close()
-    _raise_problems(results, least_matched)
+    _raise_problems(results, least_matched, opened.error)
     sentence = results.sentence()
     unpaired, read = results.facts['unpaired'], results.facts['images_read']
     if unpaired:
@@ -152,22 +137,9 @@ def _prepare(config: ChainConfig, report: Callable[[str], None]) -> None:
         report(f'kernels compiled in {seconds:.0f} s; they are kept for the next run')
 
 
-def _topics(bag: Bag, source: BagInput) -> StereoTopics:
-    calibrated = source.calibration is not None
-    if source.images is None:
-        return find_stereo_topics(bag.topics, source.namespace, calibrated=calibrated)
-    return name_stereo_topics(
-        bag.topics,
-        source.images,
-        source.infos,
-        rectified=source.rectified,
-        calibrated=calibrated,
-    )
-
-
 def _reconstruct(
-    stereo: StereoBag,
-    source: BagInput,
+    stream: PairStream,
+    source: PairInput,
     results: ResultFolder,
     config: ChainConfig,
     report: Callable[[str], None],
@@ -175,13 +147,13 @@ def _reconstruct(
     rectify: bool,
 ) -> None:
     chain, rig, remarks = None, None, _Remarks(report)
-    count = -(-stereo.expected // source.every)
+    count = -(-stream.expected // source.every)
     before = results.pairs
     if before:
         report(f'{len(results.frames)} frames are finished already; continuing after them')
         remarks.frames(results.frames)
     with ProgressBar(min(count, source.max_frames or count), 'frames', before) as progress:
-        pairs = itertools.islice(stereo, 0, None, source.every)
+        pairs = itertools.islice(stream, 0, None, source.every)
         for number, pair in enumerate(pairs, 1):
             if number <= before:
                 rig = pair.rig
@@ -203,14 +175,21 @@ def _reconstruct(
             try:
                 reconstruction = chain(*pair.images())
             except ImageError as error:
-                results.leave_out(pair.stamp_ns, error, chain.state())
+                results.leave_out(pair.stamp_ns, error, chain.state(), names=pair.names)
             else:
                 seconds = time.perf_counter() - start
                 if not results.frames:
                     report(_opening(reconstruction.range.search, chain.rig))
                     if not reconstruction.cloud.calibrated:
                         report(_WITHOUT_COVARIANCE)
-                results.add(pair.stamp_ns, pair.rig, reconstruction, seconds, chain.state())
+                results.add(
+                    pair.stamp_ns,
+                    pair.rig,
+                    reconstruction,
+                    seconds,
+                    chain.state(),
+                    names=pair.names,
+                )
                 remarks.frames(results.frames[-1:])
             progress.show(len(results.frames) + len(results.left_out))
             if len(results.frames) == source.max_frames:
@@ -255,8 +234,10 @@ def _opening(search: SearchRange, rig: StereoRig) -> str:
     )
 
 
-def _raise_problems(results: ResultFolder, least_matched: float) -> None:
-    """Raise a BagError if a part of the recording could not be reconstructed."""
+def _raise_problems(
+    results: ResultFolder, least_matched: float, error: type[BinocularReconError]
+) -> None:
+    """Raise ``error`` if a part of the input could not be reconstructed."""
     problems = list(results.facts['damage'])
     if results.left_out:
         total = len(results.left_out) + len(results.frames)
@@ -274,4 +255,4 @@ def _raise_problems(results: ResultFolder, least_matched: float) -> None:
         )
     if problems:
         kept = f'{len(results.frames)} frames are in {results.folder}'
-        raise BagError('; '.join([*problems, kept]))
+        raise error('; '.join([*problems, kept]))

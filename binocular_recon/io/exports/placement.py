@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a cloud lies at its site: from the camera's frame to that of control points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import CalibrationError, shortened
+from binocular_recon.images import FloatImage
+from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.rotations import cross_matrix
+
+_REMEDY = 'georeference again'
+_SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
+# A larger element of R R^T - I is no rotation.
+_ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """``x_site = scale R x_camera + t``.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float64
+        R.
+    translation_m : (3,) float64
+        t.
+    scale : float
+    covariance : (7, 7) float64, optional
+        Of a small turn of the cloud about ``centre_m`` in the site's axes (rad), of the place of
+        that centre (m) and of the relative scale.
+    centre_m : (3,) float64, optional
+        Centre in the site's frame; needed with ``covariance``.
+    crs : str
+        Coordinate reference system of the site, as `reference_system.wkt_of` takes it; empty for
+        a local one.
+
+    Raises
+    ------
+    CalibrationError
+        If R is not a rotation or the scale is not positive.
+
+    """
+
+    rotation: FloatArray
+    translation_m: FloatArray
+    scale: float = 1.0
+    covariance: FloatArray | None = None
+    centre_m: FloatArray | None = None
+    crs: str = ''
+
+    def __post_init__(self) -> None:
+        """Check the rotation and the scale."""
+        R = self.rotation
+        off = np.abs(R @ R.T - np.eye(3)).max()
+        if not off < _ROTATION_TOLERANCE or np.linalg.det(R) < 0 or not self.scale > 0:
+            raise CalibrationError(
+                f'R R^T of the placement differs from 1 by {off:.1e}, its scale is {self.scale};'
+                ' both must be those of a turn without a reflection'
+            )
+
+    def points(self, points_xyz: FloatArray) -> FloatArray:
+        """Return points, (N, 3) m, of the camera's frame in that of the site."""
+        placed: FloatArray = self.scale * (points_xyz @ self.rotation.T) + self.translation_m
+        return placed
+
+    def sigmas(
+        self, points_xyz: FloatArray, sigmas_m: Mapping[str, npt.NDArray[Any]]
+    ) -> dict[str, FloatImage]:
+        """Return the standard deviations of points along the axes of the site.
+
+        Parameters
+        ----------
+        points_xyz : (N, 3) float64
+            In the camera's frame, m.
+        sigmas_m : dict of str to (N,) float64
+            ``sigma_z``, and ``sigma_x`` and ``sigma_y`` if they are known, in the camera's frame.
+
+        Returns
+        -------
+        dict of str to (N,) float32
+
+        Notes
+        -----
+        A point is uncertain along its ray most of all. sigma_z belongs to that direction, and what
+        sigma_x and sigma_y hold beyond it is across; so the covariance has the given diagonal.
+
+        """
+        along = points_xyz * (sigmas_m['sigma_z'] / points_xyz[:, 2])[:, None]
+        turned = self.scale * self.rotation
+        variance = (along @ turned.T) ** 2
+        for axis, name in enumerate(_SIGMAS[:2]):
+            if name in sigmas_m:
+                across = np.maximum(sigmas_m[name] ** 2 - along[:, axis] ** 2, 0)
+                variance += across[:, None] * turned[:, axis] ** 2
+        if self.covariance is not None and self.centre_m is not None:
+            arms = self.points(points_xyz) - self.centre_m
+            unit = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
+            effect = np.concatenate([-cross_matrix(arms), unit, arms[:, :, None]], axis=-1)
+            variance += np.einsum('nip,pq,niq->ni', effect, self.covariance, effect, optimize=True)
+        sigma = np.sqrt(variance).astype(np.float32)
+        return {name: sigma[:, axis] for axis, name in enumerate(_SIGMAS)}
+
+
+def read_placement(path: Path) -> Placement:
+    """Read the ``georeference.json`` of an output folder.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    CalibrationError
+        If it does not hold a placement.
+
+    """
+    content = read_json(path, _REMEDY)
+    try:
+        transform, crs = content['transform'], content.get('crs')
+        R, t, centre = (
+            numbers(name, transform[name], CalibrationError) for name in ('R', 't', 'pivot_site')
+        )
+        scale = number('scale', transform['scale'], CalibrationError)
+        covariance = numbers('covariance', content['errors']['covariance'], CalibrationError)
+        if (R.shape, t.shape, centre.shape, covariance.shape) != ((3, 3), (3,), (3,), (7, 7)):
+            raise CalibrationError('its matrices have other sizes')
+        system = f'EPSG:{int(crs["epsg"])}' if crs else ''
+        return Placement(R, t, scale, covariance, centre, system)
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise CalibrationError(
+            f'{path} does not say where the cloud lies: {shortened(error)}; {_REMEDY}'
+        ) from error
