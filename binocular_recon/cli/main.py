@@ -29,6 +29,14 @@ PROGRAM = 'binocular-recon'
 COMMANDS = {
     'demo': ('clouds', 'run the whole chain on a real image pair that ships with the project'),
     'reconstruct': ('clouds', 'turn a stereo bag into point clouds and disparity maps'),
+    'measure': (
+        'survey',
+        'measure between picked pixels of a reconstruction, with standard deviations',
+    ),
+    'georeference': (
+        'survey',
+        'tie a reconstruction to control points of the site, or level it',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),
