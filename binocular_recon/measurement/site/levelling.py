@@ -7,7 +7,7 @@ left camera, or on the ground below it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -84,18 +84,28 @@ def level_by_uprights(
 
     everything = joined(*directions)
     up = propagate(mean, everything)
-    for index, name in enumerate(ends):
-        off = propagate(
-            lambda values, i=index: values.reshape(-1, 3)[i] - mean(values), everything
-        )
-        size = float(np.linalg.norm(off.values))
-        sigma = float(np.sqrt(np.trace(off.covariance) / 2))
-        if len(ends) > 1 and size > MOST_SIGMAS * sigma:
-            raise MeasurementError(
-                f'{name} is {np.degrees(size):.2f} degrees off the vertical of all,'
-                f' {size / sigma:.1f} standard deviations; leave it out or pick its ends again'
-            )
+    if len(ends) > 1:
+        _check_agreement(list(ends), everything, mean)
     return _levelled(frame, up, None, {'rods': 'upright rods', 'plumb': 'plumb lines'}[kind])
+
+
+def _check_agreement(
+    names: list[str], directions: Uncertain, mean: Callable[[FloatArray], FloatArray]
+) -> None:
+    """Raise a MeasurementError that names the thing that is off the vertical of all most."""
+    off = [
+        propagate(lambda values, i=i: values.reshape(-1, 3)[i] - mean(values), directions)
+        for i in range(len(names))
+    ]
+    sizes = [float(np.linalg.norm(one.values)) for one in off]
+    sigmas = [float(np.sqrt(np.trace(one.covariance) / 2)) for one in off]
+    ratios = np.array(sizes) / sigmas
+    worst = int(np.argmax(ratios))
+    if ratios[worst] > MOST_SIGMAS:
+        raise MeasurementError(
+            f'{names[worst]} is {np.degrees(sizes[worst]):.2f} degrees off the vertical of all,'
+            f' {ratios[worst]:.1f} standard deviations; leave it out or pick its ends again'
+        )
 
 
 def _levelled(

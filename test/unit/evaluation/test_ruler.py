@@ -39,7 +39,8 @@ class Site:
         disparity = self.disparity_px if disparity_px is None else disparity_px
         sigma = np.full_like(disparity, 0.1)
         measured = np.full(disparity.shape, Validity.MEASURED, np.uint8)
-        texture = np.random.default_rng(0).integers(0, 256, (*disparity.shape, 3), np.uint8)
+        grey = np.random.default_rng(0).integers(0, 256, disparity.shape, np.uint8)
+        texture = np.stack([grey] * 3, axis=-1)
         limits = CloudConfig(max_depth=21.5)
         return MeasuredFrame(self.rig, disparity, sigma, measured, texture, limits=limits)
 
