@@ -40,7 +40,8 @@ CONTROL_M = 0.005
 
 
 def on_site(points: FloatArray) -> FloatArray:
-    return points @ TURN.T + PLACE
+    placed: FloatArray = points @ TURN.T + PLACE
+    return placed
 
 
 @lru_cache
