@@ -21,8 +21,8 @@ from binocular_recon.cli import main
 from binocular_recon.config import ChainConfig
 from binocular_recon.io import write_rig
 from binocular_recon.io.bags import Bag, StereoBag, find_stereo_topics
-from binocular_recon.nodes.runtime import options
 from binocular_recon.measurement import read_picks
+from binocular_recon.nodes.runtime import options
 from binocular_recon.simulation import CaptureOptions, simulate_capture, survey_rig
 from test.calibration_tools import write_covariance
 from test.conftest import REPOSITORY
