@@ -7,7 +7,8 @@ one reconstructed pair, `session` what the measurements of several share. `uncer
 the sources of error of every value, so that correlated ones cancel where they should. `planes`
 fits the ground, `faces` measures flatness and cross-sections, `ruler` people and bicycles;
 `robust_fits` fits data of which a part belongs to something else. `lengths` gives a single
-distance from a covariance. `site` ties a rig to control points, or levels it. `check_distance`
+distance from a covariance. `clouds` measures in a
+cloud without its disparities. `site` ties a rig to control points, or levels it. `check_distance`
 compares a calibration with a rod of known length.
 """
 
