@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+from functools import partial
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -41,6 +43,10 @@ def click(place: tuple[float, float, float], frame: str = 'left') -> PointStampe
     return message
 
 
+def _said(node: Any, text: str) -> bool:
+    return text in node.text()
+
+
 def test_two_clicks_give_a_length_that_stays(graph: Graph, start_node: StartNode) -> None:
     node = start_node('measure_node')
     clouds = graph.publisher('/rig/points2', PointCloud2)
@@ -60,7 +66,7 @@ def test_two_clicks_give_a_length_that_stays(graph: Graph, start_node: StartNode
         (click((1.0, 0.0, DEPTH_M)), ' +- '),
     ):
         clicks.publish(message)
-        wait_until(lambda text=answer: text in node.text(), answer)
+        wait_until(partial(_said, node, answer), answer)
     # who comes later gets the result too
     (result,) = graph.inbox('/rig/measurements', String, LATCHED).wait()
     content = json.loads(result.data)
@@ -69,5 +75,5 @@ def test_two_clicks_give_a_length_that_stays(graph: Graph, start_node: StartNode
     assert abs(length['value'] - 1.0) < 0.03 and 0.02 < length['sigma'] < 0.1
     assert content['text'] == f'{length["value"]:.3f} +- {length["sigma"]:.3f} m'
     assert content['sigma'].startswith('matching only')
-    answer = graph.call('/rig/measure_node/clear', Trigger, Trigger.Request())
-    assert answer.success and answer.message == '2 points forgotten'
+    cleared = graph.call('/rig/measure_node/clear', Trigger, Trigger.Request())
+    assert cleared.success and cleared.message == '2 points forgotten'
