@@ -32,6 +32,9 @@ STEP_PX = 1.0
 LEAST_SHARE = 0.35
 # A point agrees with the surface within about this, px of disparity.
 SCATTER_PX = 0.3
+# The filter's sigma is that of well matched pixels; among all that picks meet, more are odd. With
+# this factor errors of lengths are beyond 3 sigma as rarely as of a normal distribution.
+MATCHING_FACTOR = 1.2
 # The rows of picks in both images agree within this.
 MOST_PICKED_ROWS_PX = 2 * MOST_ROWS_PX
 _REASONS = (
@@ -131,9 +134,8 @@ def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
         start = np.linalg.lstsq(design * root[:, None], disparity * root, rcond=None)[0]
         plane = refined_fit(design, disparity, weight, SCATTER_PX, start)
     misfit = np.sqrt(np.average((disparity - design @ plane) ** 2, weights=weight))
-    return Surface(
-        float(plane[0]), plane[1:], float(np.hypot(np.average(sigma, weights=weight), misfit))
-    )
+    error_px = MATCHING_FACTOR * np.hypot(np.average(sigma, weights=weight), misfit)
+    return Surface(float(plane[0]), plane[1:], float(error_px))
 
 
 def _intersection(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,10 +97,9 @@ def _within(longitude: float, west: float, east: float) -> bool:
 
 def _pyproj() -> Any:
     try:
-        import pyproj
+        return importlib.import_module('pyproj')
     except ImportError as error:
         raise DependencyError(
             'reference systems need pyproj, which is not installed; run: pip install'
             " 'binocular_recon[survey]', or give local coordinates without --epsg"
         ) from error
-    return pyproj
