@@ -100,7 +100,7 @@ def check_points(pick: Picker, frame: MeasuredFrame, rng: np.random.Generator) -
         except MeasurementError:  # a wrong match, or points on one line: a crew picks others
             continue
         errors = found.checks.values()
-        return np.concatenate([one.off_m / one.sigma_m for one in errors]).tolist()
+        return [float(ratio) for one in errors for ratio in one.off_m / one.sigma_m]
 
 
 def figures(ratios: list[float]) -> str:
