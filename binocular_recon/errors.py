@@ -51,6 +51,10 @@ class BagError(BinocularReconError):
     """A bag cannot be read or does not hold what is needed."""
 
 
+class MeasurementError(BinocularReconError, ValueError):
+    """A point cannot be located, or points do not make what is to be measured."""
+
+
 class FileError(BinocularReconError, OSError):
     """A file cannot be read or written."""
 

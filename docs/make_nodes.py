@@ -129,7 +129,11 @@ def _type(kind: Any) -> str:
 
 
 def _remark(one: Any) -> str:
-    remarks = [('transported', 'follows image_transport'), ('optional', 'optional')]
+    remarks = [
+        ('transported', 'follows image_transport'),
+        ('optional', 'optional'),
+        ('latched', 'transient local: the last message comes to late subscribers'),
+    ]
     return ', '.join(text for name, text in remarks if getattr(one, name, False))
 
 

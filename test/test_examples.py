@@ -21,6 +21,7 @@ from binocular_recon.cli import main
 from binocular_recon.config import ChainConfig
 from binocular_recon.io import write_rig
 from binocular_recon.io.bags import Bag, StereoBag, find_stereo_topics
+from binocular_recon.measurement import read_picks
 from binocular_recon.nodes.runtime import options
 from binocular_recon.simulation import CaptureOptions, simulate_capture, survey_rig
 from test.calibration_tools import write_covariance
@@ -218,6 +219,11 @@ def test_yaml_examples_are_read(block: Block, tmp_path: Path) -> None:
         path = tmp_path / 'rods.yaml'
         path.write_text(block.text)
         assert load_rods(path).count == len(content['rods'])
+        return
+    if 'picks' in content:
+        path = tmp_path / 'picks.yaml'
+        path.write_text(block.text)
+        assert len(read_picks(path)[0]) == len(content['picks'])
         return
     if 'local_costmap' in content:
         return  # nav2's

@@ -66,6 +66,7 @@ ROOMS = [
     {'calibration.report'},
     {'calibration.session'},
     {'measurement'},
+    {'measurement.site'},
     {'simulation'},
     {'evaluation.peers', 'evaluation.tables', 'evaluation.timing'},
     {'evaluation.accuracy', 'evaluation.speed', 'evaluation.calibration'},

@@ -64,6 +64,11 @@ class FrameResult:
         return self.reconstruction.filtered.disparity_px
 
     @property
+    def sigma_px(self) -> FloatImage:
+        """One standard deviation of the disparity, (H, W) float32; NaN = none."""
+        return self.reconstruction.filtered.sigma_px
+
+    @property
     def validity(self) -> ByteImage:
         """Bits of `Validity`, (H, W) uint8."""
         return self.reconstruction.filtered.validity
@@ -161,6 +166,8 @@ _LAS, _LAZ = {'laspy': 'LAS and LAZ files'}, {'lazrs': 'LAZ files'}
 # The files of each frame, by a name for each; a new format is a new entry.
 FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
+    'sigma': FrameFormat('_sigma.pfm', ('sigma_px',), write_pfm),
+    'left': FrameFormat('_left.png', ('left_bgr',), write_image_file),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
     'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
     'ply': FrameFormat('.ply', ('table',), write_ply_table),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FrameResult
-from binocular_recon.camera import Camera, StereoRig
+from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.point_covariance import sigma_shares
 
@@ -81,6 +81,19 @@ def calibration_entry(rig: StereoRig) -> dict[str, Any]:
         'disparity_offset_px': rig.disparity_offset_px,
         'left': _camera(rig.left),
         'right': _camera(rig.right),
+        'covariance': _covariance(rig.covariance),
+    }
+
+
+def _covariance(known: RigCovariance | None) -> dict[str, Any] | None:
+    """Return what measuring needs of a calibration's covariance; None if it is not known."""
+    if known is None:
+        return None
+    return {
+        'parameters': list(known.parameters),
+        'matrix': known.matrix.tolist(),
+        'left': _camera(known.left),
+        'right': _camera(known.right),
     }
 
 

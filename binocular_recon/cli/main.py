@@ -36,6 +36,14 @@ COMMANDS = {
         'clouds',
         'write clouds and depth of an output folder as LAS, LAZ, E57, PLY, TIFF or PNG',
     ),
+    'measure': (
+        'survey',
+        'measure between picked pixels of a reconstruction, with standard deviations',
+    ),
+    'georeference': (
+        'survey',
+        'tie a reconstruction to control points of the site, or level it',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),

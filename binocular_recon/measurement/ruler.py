@@ -13,17 +13,27 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from binocular_recon.camera import FloatArray, StereoRig
-from binocular_recon.errors import ImageError
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import MeasurementError
 from binocular_recon.images import to_grey
+from binocular_recon.measurement.frame import MeasuredFrame
+from binocular_recon.measurement.picks import Pick
+from binocular_recon.measurement.planes import (
+    SCATTER_PX,
+    Plane,
+    fitted_ground,
+    height_above,
+    normal_of,
+)
 from binocular_recon.measurement.robust_fits import consensus_fit, refined_fit
-from binocular_recon.stereo.pipeline import Reconstruction
+from binocular_recon.measurement.snapping import PICK_SIGMA_PX, check_inside
+from binocular_recon.measurement.uncertain import Uncertain, joined, propagate
 
-# The camera is held level to this, degrees.
-MOST_TILT_DEG = 20.0
-# A point agrees with a surface within about this, px of disparity.
-SCATTER_PX = 0.15
-GROUND_POINTS = 20_000
+# How well the depth of a body, and of the hubs together, is known, px of disparity: the surface
+# lies before the ends, and matching takes outlines to the depth of the axis.
+BODY_SIGMA_PX = 0.15
+# How well the depth of each wheel is known for itself, px of disparity.
+WHEEL_SIGMA_PX = 0.03
 # Points lower than this above the ground may be the ground, m.
 CLEAR_OF_GROUND_M = 0.12
 # Half the width of the strip along a body, as a share of its height.
@@ -34,6 +44,8 @@ BODY_DEPTH_M = 0.4
 # are handlebar and saddle, which reach out of their plane.
 BICYCLE_BEYOND, BICYCLE_ABOVE, BICYCLE_LENGTH_M, WHEEL_HEIGHT_M = 0.36, 1.1, 1.2, 0.7
 HUB_HALF_PX = 3
+# No match is trusted more than one with this sigma, px.
+LEAST_SIGMA_PX = 0.05
 # A hub sticks out of the plane of its wheels, and a wheel lies off that of the whole bicycle, by
 # less than this, px of disparity.
 MOST_OFFSET_PX = 0.8
@@ -68,17 +80,20 @@ class VerticalPlane:
 
 
 class Ruler:
-    """Measures in one reconstruction.
+    """Measures upright things in one reconstruction.
 
     Parameters
     ----------
-    reconstruction : Reconstruction
+    frame : MeasuredFrame
         Of a scene with level ground.
-    rig : StereoRig
-        Rectified rig of the reconstruction (``Chain.rig``).
+    pick_sigma_px : float
+        One standard deviation of picks, on each axis.
+    ground : Plane, optional
+        The ground, if it is known already.
 
     Attributes
     ----------
+    ground : Plane
     level : (3, 3) float64
         Unit vectors to the side, up (against gravity, from the ground) and ahead; left rectified
         frame.
@@ -87,86 +102,95 @@ class Ruler:
 
     Raises
     ------
-    ImageError
+    MeasurementError
         If the cloud shows no ground.
 
     """
 
-    def __init__(self, reconstruction: Reconstruction, rig: StereoRig) -> None:
-        self._rig = rig
-        self._focal_baseline = rig.focal_px * rig.baseline_m
-        self._points = reconstruction.cloud.points_xyz.astype(np.float64)
-        self._weight = _information(reconstruction)
-        normal = self._ground()
+    def __init__(
+        self,
+        frame: MeasuredFrame,
+        pick_sigma_px: float = PICK_SIGMA_PX,
+        ground: Plane | None = None,
+    ) -> None:
+        self._frame, self._pick_sigma_px = frame, pick_sigma_px
+        self._focal_baseline = frame.focal_baseline
+        self._points = frame.points_xyz
+        self._weight = _information(frame)
+        self.ground = ground or fitted_ground(frame)
+        normal = self.ground.inverse
         up = -normal / np.linalg.norm(normal)
         self.camera_height_m = float(self._focal_baseline / np.linalg.norm(normal))
         side = np.cross([0.0, 0.0, 1.0], up)
         side /= np.linalg.norm(side)
         self.level: FloatArray = np.stack([side, up, np.cross(up, side)])
 
-    def height_m(self, top_px: FloatArray, sole_px: FloatArray) -> float:
-        """Return the height of a person, m, from rectified pixels of head top and sole.
+    def height(self, top: Pick, sole: Pick) -> Uncertain:
+        """Return the height of a person, (1,) m, from picks of head top and sole.
 
         The body stands upright: both ends lie on one vertical plane that faces the camera, at the
         median distance of the body's points.
         """
-        body = self._body_plane(top_px, sole_px)
-        return float(
-            self.level[1] @ (body.point(self.ray(top_px)) - body.point(self.ray(sole_px)))
+        ends = self._ends(self._body_plane(top.pixel, sole.pixel), (top, sole))
+        return propagate(
+            lambda ends, ground: normal_of(ground) @ (ends[:3] - ends[3:]),
+            ends,
+            self.ground.support,
         )
 
-    def height_above_ground_m(self, top_px: FloatArray, sole_px: FloatArray) -> float:
-        """Return the height of head top above the ground, m: the sole stands on it."""
-        body = self._body_plane(top_px, sole_px)
-        return float(self.level[1] @ body.point(self.ray(top_px)) + self.camera_height_m)
+    def height_above_ground(self, top: Pick, sole: Pick) -> Uncertain:
+        """Return the height of head top above the ground, (1,) m: the sole stands on it."""
+        ends = self._ends(self._body_plane(top.pixel, sole.pixel), (top,))
+        return propagate(lambda end, ground: height_above(ground, end), ends, self.ground.support)
 
-    def automatic_height_m(self, top_px: FloatArray, sole_px: FloatArray) -> float:
+    def automatic_height_m(self, top: Pick, sole: Pick) -> float:
         """Return the 99.9th percentile of the heights in a box around a person, m.
 
         The picks only say where the person is. NaN if the box is empty.
         """
-        middle = self._body_plane(top_px, sole_px).point(self.ray((top_px + sole_px) / 2))
+        body = self._body_plane(top.pixel, sole.pixel)
+        middle = body.point(self._frame.ray((top.pixel + sole.pixel) / 2))
         side, height, ahead = np.moveaxis(self._points @ self.level.T, -1, 0)
         x, _, z = self.level @ middle
         near = (abs(side - x) < BOX_HALF_M) & (abs(ahead - z) < BOX_HALF_M)
         heights = height[near] + self.camera_height_m
         return float(np.percentile(heights, TOP_PERCENTILE)) if near.any() else float('nan')
 
-    def wheelbase_m(self, rear_px: FloatArray, front_px: FloatArray) -> float:
-        """Return the distance of a bicycle's hubs, m, from their rectified pixels.
+    def wheelbase(self, rear: Pick, front: Pick) -> Uncertain:
+        """Return the distance of a bicycle's hubs, (1,) m, from their picks.
 
         Wheels and frame lie in one vertical plane; the hubs' ends lie parallel to it.
         """
-        wheels = self._wheel_plane(rear_px, front_px)
-        rear, front = wheels.point(self.ray(rear_px)), wheels.point(self.ray(front_px))
-        return float(np.linalg.norm(front - rear))
-
-    def ray(self, pixel: FloatArray) -> FloatArray:
-        """Return the direction of a rectified pixel of the left image, (3,), depth 1."""
-        P = self._rig.left.P
-        return np.array([(pixel[0] - P[0, 2]) / P[0, 0], (pixel[1] - P[1, 2]) / P[1, 1], 1.0])
-
-    def _ground(self) -> FloatArray:
-        """Return the ground's normal, scaled so that ``normal @ (point / depth)`` is px."""
-        lower = self._points[self._points.shape[0] // 2 :].reshape(-1, 3)
-        lower = lower[np.isfinite(lower[:, 2])]
-        lower = lower[:: len(lower) // GROUND_POINTS + 1]
-        if len(lower) < GROUND_POINTS // 100:
-            raise ImageError(
-                f'the lower half of the cloud has {len(lower)} points, too few to find the ground;'
-                ' widen the range of depths'
-            )
-        least = np.cos(np.deg2rad(MOST_TILT_DEG))
-        normal = consensus_fit(
-            lower / lower[:, 2:],
-            self._focal_baseline / lower[:, 2],
-            np.ones(len(lower)),
-            SCATTER_PX,
-            lambda normal: bool(normal[1] > least * np.linalg.norm(normal)),
+        ends = self._ends(
+            self._wheel_plane(rear.pixel, front.pixel), (rear, front), WHEEL_SIGMA_PX
         )
-        if normal is None:
-            raise ImageError('the cloud shows no level ground in the lower half of the image')
-        return normal
+        return propagate(lambda ends: np.linalg.norm(ends[:3] - ends[3:]), ends)
+
+    def _ends(
+        self, plane: VerticalPlane, picks: tuple[Pick, ...], each_px: float = 0.0
+    ) -> Uncertain:
+        """Return where picks meet an upright plane, (3 n,) m, with all effects.
+
+        Errors of matching are those of the plane as a whole and, of ``each_px``, of each end.
+        """
+        whole = ' '.join(pick.name for pick in picks)
+        ends = []
+        for pick in picks:
+            check_inside(self._frame, pick, pick.pixel, 'left')
+            met = plane.point(self._frame.ray(pick.pixel))
+            slopes = [
+                plane.point(self._frame.ray(pick.pixel + step))
+                - plane.point(self._frame.ray(pick.pixel - step))
+                for step in np.eye(2) / 2
+            ]
+            per_px = -met[:, None] * met[2] / self._focal_baseline
+            effects = {
+                ('pick', pick.name): self._pick_sigma_px * np.stack(slopes, axis=-1),
+                ('matching', whole): BODY_SIGMA_PX * per_px,
+                ('matching', pick.name): each_px * per_px,
+            }
+            ends.append(self._frame.calibrated(Uncertain(met, effects)))
+        return joined(*ends)
 
     def _body_plane(self, top_px: FloatArray, sole_px: FloatArray) -> VerticalPlane:
         """Return the plane that faces the camera at a person's distance."""
@@ -176,7 +200,7 @@ class Ruler:
         ahead = (self._points[window] @ self.level[2]).ravel()
         ahead = ahead[np.isfinite(ahead)]
         if not ahead.size:
-            raise ImageError(f'the cloud has no point between {top_px} and {sole_px}')
+            raise MeasurementError(f'the cloud has no point between {top_px} and {sole_px}')
         # what shows between the legs is left out
         body = ahead[abs(ahead - np.median(ahead)) < BODY_DEPTH_M]
         straight = np.array([self._focal_baseline / np.median(body), 0.0])
@@ -193,9 +217,9 @@ class Ruler:
         height = height + self.camera_height_m
         chosen = (height > CLEAR_OF_GROUND_M) & (height < WHEEL_HEIGHT_M)
         if chosen.sum() < 2:
-            raise ImageError(f'the cloud has no bicycle between {rear_px} and {front_px}')
+            raise MeasurementError(f'the cloud has no bicycle between {rear_px} and {front_px}')
         nearest = np.percentile(ahead[chosen], 5)
-        ends = [self.level @ self.ray(pixel) for pixel in (rear_px, front_px)]
+        ends = [self.level @ self._frame.ray(pixel) for pixel in (rear_px, front_px)]
         hubs = np.array([end[0] / end[2] for end in ends])
         first, last = sorted(hubs)
         beyond = BICYCLE_BEYOND / nearest
@@ -206,7 +230,7 @@ class Ruler:
         design = np.stack([np.ones_like(direction), direction], -1)
         inverse = consensus_fit(design, disparity, weight, SCATTER_PX)
         if inverse is None:
-            raise ImageError(f'the cloud has no bicycle between {rear_px} and {front_px}')
+            raise MeasurementError(f'the cloud has no bicycle between {rear_px} and {front_px}')
         inverse = _through_wheels(inverse, direction, disparity, weight, hubs)
         plane = VerticalPlane(inverse, self.level, self._focal_baseline)
         out = [self._above_plane_px(plane, pixel) for pixel in (rear_px, front_px)]
@@ -258,13 +282,14 @@ def _through_wheels(
     return np.array([rear - slope * hubs[0], slope])
 
 
-def _information(reconstruction: Reconstruction) -> FloatArray:
+def _information(frame: MeasuredFrame) -> FloatArray:
     """Return how much each point of the cloud tells about its distance, (H, W).
 
-    A disparity is measured where the image changes along the row and the match was clear;
-    elsewhere it is filled in from there.
+    A disparity is measured where the image changes along the row and the match was clear, which
+    its sigma says; elsewhere it is filled in from there.
     """
-    change = cv2.Sobel(to_grey(reconstruction.left), cv2.CV_32F, 1, 0)
+    change = cv2.Sobel(to_grey(frame.left_bgr), cv2.CV_32F, 1, 0)
     contrast = np.sqrt(1.0 + cv2.GaussianBlur(change**2, (0, 0), 0.8))
-    information: FloatArray = (contrast * reconstruction.matched.confidence).astype(np.float64)
+    sigma_px = np.where(frame.measured, np.maximum(frame.sigma_px, LEAST_SIGMA_PX), np.inf)
+    information: FloatArray = contrast / sigma_px.astype(np.float64) ** 2
     return information

@@ -48,6 +48,7 @@ class CalibrationNode(FrameNode):
         'undo': 'drop the last board; its images move to captures/dropped/',
         'reset': 'drop all boards; their images move to captures/dropped/',
         'calibrate': 'calibrate from all boards',
+        'check': 'compare a known length of the rods in the newest pair with the calibration',
         'save': 'write the calibration and send it to the cameras',
     }
     FIXED = (RodOptions, InputOptions)

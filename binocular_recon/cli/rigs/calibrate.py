@@ -29,6 +29,7 @@ from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
+from binocular_recon.measurement.check_distance import check_distances
 from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
@@ -89,7 +90,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--check', type=Path, metavar='RIG',
         help='instead of calibrating: check whether the calibration in the folder RIG still holds'
-        ' for these boards; exit status 1 if it does not',
+        ' for these boards: rows, and a check distance on each, of a rod or of two --points;'
+        ' exit status 1 if it does not',
     )  # fmt: skip
     add_output_option(parser, required=False)
 
@@ -184,9 +186,15 @@ def _check_holding(rig: StereoRig, marks: _Marks) -> None:
     for board in (*marks.rejected, *holding.left_out):
         print(f'left out: {board.name}: {board.reason}')
     print(f'{holding.boards} boards, {holding.marks} marks: {holding}')
-    if holding.faults:
+    odd = {board.name for board in holding.left_out}
+    kept = [capture for capture in marks.captures if capture.name not in odd]
+    distances = check_distances(rig, kept, marks.target)
+    for distance in distances:
+        print(plain_text(str(distance)))
+    faults = [*holding.faults, *(str(one) for one in distances if not one.passed)]
+    if faults:
         raise CalibrationError(
-            f'the calibration does not hold: {"; ".join(holding.faults)}; check the heights of the'
+            f'the calibration does not hold: {"; ".join(faults)}; check the heights of the'
             ' marks in the description of the target, else calibrate again'
         )
     print('the calibration holds')

@@ -12,6 +12,7 @@ from binocular_recon.drawing.labels import write_label
 from binocular_recon.evaluation.paper.runs import CROP_M, PaperRun, Survey
 from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
 from binocular_recon.images import ByteImage, to_bgr8
+from binocular_recon.measurement.lengths import Length
 
 LINE_BGR = (60, 230, 255)
 # Left, right, above and below the things, as a share of the width of the picks' box.
@@ -42,7 +43,8 @@ def draw_sizes(survey: Survey, run: PaperRun) -> ByteImage:
         cv2.line(photo, first.tolist(), last.tolist(), LINE_BGR, 1, cv2.LINE_AA)
         for end in (first, last):
             cv2.drawMarker(photo, end.tolist(), LINE_BGR, cv2.MARKER_CROSS, 11, 1, cv2.LINE_AA)
-        text = f'{1e3 * true[name] + run.errors_mm[name][0]:.1f} mm'
+        metres = true[name] + run.errors_mm[name][0] / 1e3
+        text = str(Length(metres, run.sigmas_mm[name][0] / 1e3))
         column, row = np.minimum(first, last).tolist()
         write_label(photo, text, (column, row - 12), 0.5)
     disparity = survey.reconstruction.filtered.disparity_px[window]

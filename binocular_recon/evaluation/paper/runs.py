@@ -29,14 +29,16 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation.calibration.self_check import simulated_boards, simulated_captures
-from binocular_recon.evaluation.paper.site import Pixels, Site, simulate_site
+from binocular_recon.evaluation.paper.site import PICK_NOISE_PX, Pixels, Site, simulate_site
 from binocular_recon.evaluation.paper.sizes import (
     errors_mm,
     heights,
     ideal_sizes,
     measured_sizes,
     rectified,
+    sigmas_mm,
 )
+from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.ruler import Ruler
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import RawRig
@@ -69,6 +71,8 @@ class PaperRun:
         Mean row difference of all marks on the held-out board: uncorrected, corrected, adjusted.
     errors_mm : dict of str to list of float
         Table 3: measured minus true size for each pick.
+    sigmas_mm : dict of str to list of float
+        One standard deviation of each, as it is stated.
     on_ground_mm, automatic_mm : dict of str to list of float
         The same with the sole put on the ground plane; of the automatic height (one value).
     floor_mm : dict of str to list of float
@@ -83,6 +87,7 @@ class PaperRun:
     rows: list[list[float]]
     rows_px: dict[str, float]
     errors_mm: dict[str, list[float]]
+    sigmas_mm: dict[str, list[float]]
     on_ground_mm: dict[str, list[float]]
     automatic_mm: dict[str, list[float]]
     floor_mm: dict[str, list[float]]
@@ -145,8 +150,9 @@ def run_site(
     result = calibrate(captures[:-1], board, site.rig.left.size)
     chain = survey_chain(result.rig)
     reconstruction = chain(site.left, site.right)
-    ruler = Ruler(reconstruction, chain.rig)
+    ruler = Ruler(MeasuredFrame.of(reconstruction, chain.rig), PICK_NOISE_PX)
     picks = [rectified(pick, result.rig.left) for pick in site.picks]
+    sizes = [measured_sizes(ruler, pick) for pick in picks]
     rows, means = _table_1(result, captures[-1])
     run = PaperRun(
         seed=site.seed,
@@ -158,12 +164,14 @@ def run_site(
         ],
         rows=rows,
         rows_px=means,
-        errors_mm=errors_mm(site, [measured_sizes(ruler, pick) for pick in picks]),
-        on_ground_mm=errors_mm(site, [heights(ruler.height_above_ground_m, p) for p in picks]),
+        errors_mm=errors_mm(site, sizes),
+        sigmas_mm=sigmas_mm(sizes),
+        on_ground_mm=errors_mm(site, [heights(ruler.height_above_ground, p) for p in picks]),
         automatic_mm=errors_mm(site, [heights(ruler.automatic_height_m, picks[0])]),
         floor_mm=errors_mm(site, [ideal_sizes(site, pick) for pick in site.picks]),
     )
-    return run, Survey(site, chain.rig, reconstruction, picks[0])
+    pixels = {name: pick.pixel for name, pick in picks[0].items()}
+    return run, Survey(site, chain.rig, reconstruction, pixels)
 
 
 def run_paper(

@@ -117,6 +117,8 @@ def table_3(runs: Sequence[PaperRun]) -> str:
     rows.append(['mean of the three', *(fixed(value) for value in values)])
     ground = [mean_of_three_mm(_of(runs, p), 'errors_mm', 'on_ground_mm') for p in placements]
     rows.append(['mean, soles on the ground plane', '', *(fixed(value) for value in ground), ''])
+    ratios = (fixed(_ratio(_of(runs, placement)), 2) for placement in placements)
+    rows.append(['RMS of error / stated sigma', '', *ratios, ''])
     for key, text in (('on_ground_mm', 'sole on the ground plane'), ('automatic_mm', 'automatic')):
         for name in PEOPLE:
             ours = [mean_error_mm(_of(runs, placement), key, name) for placement in placements]
@@ -172,6 +174,14 @@ def mean_of_three_mm(runs: Sequence[PaperRun], key: str, people: str = '') -> fl
     """Return the mean of the three sizes' errors, mm; ``people`` gives those another key."""
     errors = [mean_error_mm(runs, people or key, name) for name in PEOPLE]
     return float(np.mean([*errors, mean_error_mm(runs, key, BICYCLE)]))
+
+
+def _ratio(runs: Sequence[PaperRun]) -> float:
+    """Return the root mean square of the errors of all sizes over their stated sigma."""
+    names = (*PEOPLE, BICYCLE)
+    errors = np.array([[run.errors_mm[name] for name in names] for run in runs])
+    sigmas = np.array([[run.sigmas_mm[name] for name in names] for run in runs])
+    return float(np.sqrt(np.mean((errors / sigmas) ** 2)))
 
 
 def _of(runs: Sequence[PaperRun], placement_m: float) -> list[PaperRun]:

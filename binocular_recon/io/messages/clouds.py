@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fill PointCloud2 messages."""
+"""Fill and read PointCloud2 messages."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.errors import ImageError
 from binocular_recon.io.messages.images import new_array
 from binocular_recon.stereo.triangulation import Cloud
 
@@ -92,3 +93,58 @@ def _layout(names: Sequence[str], padding: bool) -> tuple[dict[str, int], int]:
         return {**first, **{name: _PADDED[name] for name in names}}, _PADDED_SIZE
     rest = {name: 3 + i for i, name in enumerate(names)}
     return {**first, **rest}, 3 + len(names)
+
+
+def read_cloud(
+    message: Any,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], bool]:
+    """Read points and their depths' standard deviations from a PointCloud2 of ours.
+
+    Returns
+    -------
+    points_xyz : (H, W, 3) float32
+        Metres; NaN = none.
+    sigma_z_m : (H, W) float32
+    with_calibration : bool
+        Whether the standard deviations hold the share of the calibration.
+
+    Raises
+    ------
+    ImageError
+        If a field is missing, or the sizes do not fit.
+
+    """
+    offsets = {
+        field.name: int(field.offset) for field in message.fields if field.datatype == _FLOAT32
+    }
+    needed = ('x', 'y', 'z', 'sigma_z')
+    missing = [name for name in needed if name not in offsets]
+    if missing:
+        raise ImageError(
+            f'the cloud has no field {", ".join(missing)} (float32); take points2 of'
+            ' wls_filter_node or stereo_node'
+        )
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    size, row = len(message.data), int(message.row_step)
+    if (
+        max(offsets[name] for name in needed) + 4 > step
+        or row < step * width
+        or size < row * height
+    ):
+        raise ImageError(
+            f'the cloud states {width}x{height} points of {step} bytes, but has {size} bytes; its'
+            ' publisher is faulty'
+        )
+    order = '>' if message.is_bigendian else '<'
+    layout = np.dtype(
+        {
+            'names': list(needed),
+            'formats': [f'{order}f4'] * len(needed),
+            'offsets': [offsets[name] for name in needed],
+            'itemsize': step,
+        }
+    )
+    lines = np.frombuffer(message.data, np.uint8, row * height).reshape(height, row)
+    values = np.ascontiguousarray(lines[:, : step * width]).view(layout).reshape(height, width)
+    points = np.stack([values[name].astype(np.float32) for name in 'xyz'], axis=-1)
+    return points, values['sigma_z'].astype(np.float32), 'sigma_x' in offsets

@@ -21,6 +21,7 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.measurement.check_distance import check_distances
 from binocular_recon.nodes.calibration.newest_pair import NewestPair
 from binocular_recon.nodes.calibration.steps import (
     check_still,
@@ -167,6 +168,26 @@ class CalibrationServices:
             self._on_state('calibration', f'{len(result.names)} boards, not saved yet')
             seconds = time.monotonic() - begun_s
             return f'{describe_result(result)}; took {seconds:.0f} s; {describe_next_step(result)}'
+
+    def check(self) -> str:
+        """Measure a known length of the rods in the newest pair; raise an error if it is off."""
+        rig = self._rig_in_use if self._result is None else self._result.rig
+        if rig is None:
+            raise CalibrationError(
+                'there is no calibration to check; calibrate first, or set the parameter'
+                ' calibration'
+            )
+        pair = self.pairs.take(self._explain_silence)
+        found = detect_pair(pair, self._board)
+        if pair.size != rig.left.size:
+            raise CalibrationError(describe_size_change(pair.size, rig.left.size))
+        capture = Capture('now', found[0].marks_px, found[1].marks_px)
+        (distance,) = check_distances(rig, [capture], self._target)
+        if not distance.passed:
+            raise CalibrationError(
+                f'{distance}; check the heights of the marks in rods.yaml, else calibrate again'
+            )
+        return str(distance)
 
     def save(self) -> str:
         """Write the calibration and pass it to the cameras."""

@@ -14,7 +14,13 @@ from rclpy.event_handler import (
     UnsupportedEventTypeError,
 )
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage
 
@@ -55,22 +61,28 @@ class Output:
         Relative name.
     type : type
         Message type.
+    latched : bool
+        Whether who subscribes later gets the last message (transient local).
 
     """
 
     topic: str
     type: type[Any]
+    latched: bool = False
 
 
 def create_output(
     node: Node, output: Output, health: Health, on_match: Callable[[], None]
 ) -> tuple[Any, bool]:
-    """Create the publisher of an output: reliable, volatile, keep last 1, unless overridden.
+    """Create the publisher of an output: reliable, keep last 1, unless overridden.
+
+    It is volatile unless it is latched.
 
     Returns the publisher, and whether the middleware calls ``on_match`` when a subscriber appears
     or disappears. Raises a ConfigError if a QoS override is not valid.
     """
-    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if output.latched else DurabilityPolicy.VOLATILE
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
     explain = _mismatch_reporter(node, output.topic, qos, health, publishes=True)
     events = PublisherEventCallbacks(incompatible_qos=explain, matched=lambda _event: on_match())
     create = functools.partial(

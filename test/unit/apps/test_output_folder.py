@@ -30,7 +30,9 @@ from binocular_recon.stereo.validity import Validity
 from test import bag_tools
 
 RIG = bag_tools.rig()
-ALWAYS = {'.ply', '_disparity.pfm', '_disparity.png', '_validity.png'}
+ALWAYS = {
+    '.ply', '_disparity.pfm', '_sigma.pfm', '_disparity.png', '_validity.png', '_left.png',
+}  # fmt: skip
 
 
 def reconstruction(disparity: float = 10.0) -> Reconstruction:

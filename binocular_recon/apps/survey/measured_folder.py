@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read the frames of an output folder of `reconstruct`, with their calibration."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.camera import Camera, RigCovariance, StereoRig
+from binocular_recon.cloud_config import CloudConfig
+from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.images import to_bgr8
+from binocular_recon.io.image_files import read_image_file
+from binocular_recon.io.pfm import read_pfm
+from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.measurement.frame import MeasuredFrame
+from binocular_recon.stereo.rectification import Rectifier, check_size
+
+_REMEDY = 'give the output folder of reconstruct; make it again if it is of an older version'
+
+
+class MeasuredFolder:
+    """The frames in an output folder of `reconstruct`.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Attributes
+    ----------
+    folder : Path
+    summary : dict
+        Content of its ``summary.json``.
+
+    Raises
+    ------
+    FileError
+        If the folder holds no reconstruction.
+
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        summary = read_json(folder / 'summary.json', _REMEDY)
+        if not isinstance(summary, dict) or not isinstance(summary.get('frames'), list):
+            raise FileError(f'{folder / "summary.json"} is not the summary of frames; {_REMEDY}')
+        self.summary: dict[str, Any] = summary
+        self._rigs: list[tuple[Any, StereoRig]] = []
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.summary['frames'])
+
+    def frame(self, number: int) -> MeasuredFrame:
+        """Read a frame.
+
+        Raises
+        ------
+        FileError
+            If there is no such frame, or a file of it is missing or damaged.
+        CalibrationError
+            If the summary does not hold the calibration.
+
+        """
+        if not 0 <= number < self.count:
+            raise FileError(
+                f'{self.folder} has no frame {number}: it holds the frames 0 to {self.count - 1}'
+                if self.count
+                else f'{self.folder} has no frames'
+            )
+        rig = self.rig(number)
+        maps = [read_pfm(self._path(number, f'_{name}.pfm')) for name in ('disparity', 'sigma')]
+        validity = read_image_file(self._path(number, '_validity.png'))
+        left = read_image_file(self._path(number, '_left.png'))
+        for name, image in zip(
+            ('disparity', 'sigma', 'validity', 'left'), (*maps, validity, left), strict=True
+        ):
+            check_size(image, rig.left.size, name)
+        return MeasuredFrame(
+            rig, maps[0], maps[1], np.asarray(validity, np.uint8), to_bgr8(left), f'{number}',
+            self._limits,
+        )  # fmt: skip
+
+    def rig(self, number: int = 0) -> StereoRig:
+        """Return the rectified rig of a frame, with the covariance of its calibration."""
+        entry = self.summary['frames'][number].get('calibration', self.summary.get('calibration'))
+        for known, rig in self._rigs:
+            if known == entry:
+                return rig
+        try:
+            rig = self._rectified(_rig_of(entry))
+        except CalibrationError as error:
+            raise CalibrationError(
+                f'{self.folder / "summary.json"}: {error}; {_REMEDY}'
+            ) from error
+        self._rigs.append((entry, rig))
+        return rig
+
+    def _path(self, index: int, ending: str) -> Path:
+        path = self.folder / f'{index:06d}{ending}'
+        if not path.exists():
+            raise FileError(f'{path} is missing, which measuring needs; {_REMEDY}')
+        return path
+
+    def _rectified(self, rig: StereoRig) -> StereoRig:
+        """Return the rig of the images in the folder."""
+        source = self.summary.get('source')
+        source = source if isinstance(source, dict) else {}
+        if source.get('rectified'):
+            return rig
+        return Rectifier(rig, number('alpha', source.get('alpha', -1.0), CalibrationError)).rig
+
+    @cached_property
+    def _limits(self) -> CloudConfig:
+        """Which points the cloud holds, by the options of the run."""
+        options = self.summary.get('options')
+        cloud = options.get('cloud') if isinstance(options, dict) else None
+        known = {field.name for field in dataclasses.fields(CloudConfig)}
+        given = cloud if isinstance(cloud, dict) else {}
+        return CloudConfig(**{name: value for name, value in given.items() if name in known})
+
+
+def _rig_of(entry: object) -> StereoRig:
+    """Return the rig of an entry of the summary."""
+    if not isinstance(entry, dict):
+        raise CalibrationError('the calibration is missing')
+    size = numbers('image_size', entry.get('image_size'), CalibrationError).astype(int).tolist()
+    left, right = (_camera(entry.get(side), side, size) for side in ('left', 'right'))
+    known = entry.get('covariance')
+    covariance = None
+    if isinstance(known, dict):
+        calibrated = [_camera(known.get(side), side, size) for side in ('left', 'right')]
+        covariance = RigCovariance(
+            calibrated[0],
+            calibrated[1],
+            tuple(known.get('parameters') or ()),
+            numbers('covariance', known.get('matrix'), CalibrationError),
+        )
+    return StereoRig(left, right, covariance=covariance)
+
+
+def _camera(entry: object, side: str, size: list[int]) -> Camera:
+    if not isinstance(entry, Mapping):
+        raise CalibrationError(f'the {side} camera is missing')
+    if len(size) != 2:
+        raise CalibrationError('image_size must be width and height')
+    K, D, R, P = (
+        numbers(f'{name} of the {side} camera', entry.get(name), CalibrationError)
+        for name in ('K', 'D', 'R', 'P')
+    )
+    return Camera(size[0], size[1], K, D, R, P, str(entry.get('distortion_model', 'plumb_bob')))

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that work on the output folder of ``reconstruct``.
+
+One module per command, as in the folder above: ``measure`` measures between picks,
+``georeference`` ties the rig to control points or levels it.
+"""

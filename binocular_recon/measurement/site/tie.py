@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The transformation from the rectified left frame to the frame of a site, with its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binocular_recon.camera import FloatArray
+from binocular_recon.errors import MeasurementError
+from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.measurement.frame import MeasuredFrame
+from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, propagate, root_of
+from binocular_recon.rotations import rotation
+
+TIE_FILE = 'georeference.json'
+# Small turn (rad, about the site's axes), shift (m) and relative scale.
+PARAMETERS = 7
+_REMEDY = 'georeference again, or delete it to measure in the frame of the rig'
+
+
+@dataclass(frozen=True, eq=False)
+class SiteTie:
+    """``site = pivot_site + scale R (point - pivot)``.
+
+    Attributes
+    ----------
+    R : (3, 3) float64
+        Rotation from the left rectified frame to the site's.
+    scale : float
+    pivot, pivot_site : (3,) float64
+        A point in both frames, m, near which the transformation is known best.
+    covariance : (7, 7) float64
+        Of a small turn, a shift and the relative scale, without the share of the calibration.
+    calibration : (7, p) float64
+        How they move with the parameters of the rig's calibration; p may be 0.
+    names : tuple of str
+        Names of the three axes.
+    level : bool
+        Whether the third axis is up.
+    facts : dict
+        What else the file states.
+
+    """
+
+    R: FloatArray
+    scale: float
+    pivot: FloatArray
+    pivot_site: FloatArray
+    covariance: FloatArray
+    calibration: FloatArray
+    names: tuple[str, str, str] = ('X', 'Y', 'Z')
+    level: bool = True
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def t(self) -> FloatArray:
+        """Where the left camera is, (3,) m: ``site = scale R point + t``."""
+        place: FloatArray = self.pivot_site - self.scale * self.R @ self.pivot
+        return place
+
+    def apply(self, points_xyz: FloatArray) -> FloatArray:
+        """Return points (..., 3) of the rectified frame in the site's, float64, m."""
+        moved: FloatArray = self.scale * (points_xyz - self.pivot) @ self.R.T + self.pivot_site
+        return moved
+
+    def errors(self, frame: MeasuredFrame) -> Uncertain:
+        """Return the errors of the transformation, (7,), with their sources."""
+        effects = {('control', ''): root_of(self.covariance)}
+        known = frame.rig.covariance
+        if known is not None and self.calibration.shape[1] == len(known.matrix):
+            effects[CALIBRATION] = self.calibration @ root_of(known.matrix)
+        return Uncertain(np.zeros(PARAMETERS), effects)
+
+    def to_site(self, point: Uncertain, frame: MeasuredFrame) -> Uncertain:
+        """Return a point (3,), m, of the rectified frame in the site's.
+
+        Errors that the transformation and the point share, those of the calibration, cancel as
+        they do.
+        """
+        # large coordinates are added last, so that derivatives keep their digits
+        local = propagate(
+            lambda values, moved: transformed(self.R, self.scale, values - self.pivot, moved),
+            point,
+            self.errors(frame),
+        )
+        return Uncertain(local.values + self.pivot_site, local.effects)
+
+    def up(self, frame: MeasuredFrame) -> Uncertain:
+        """Return the unit vector along the site's third axis in the rectified frame, (3,)."""
+        return propagate(lambda moved: (rotation(moved[:3]) @ self.R)[2], self.errors(frame))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the content of ``georeference.json``."""
+        return {
+            'transform': {
+                'R': self.R.tolist(),
+                't': self.t.tolist(),
+                'scale': self.scale,
+                'pivot': self.pivot.tolist(),
+                'pivot_site': self.pivot_site.tolist(),
+            },
+            'axes': list(self.names),
+            'level': self.level,
+            **self.facts,
+            'errors': {
+                'parameters': [
+                    *(f'turn_{axis}_rad' for axis in 'xyz'),
+                    *(f'shift_{axis}_m' for axis in 'xyz'),
+                    'relative_scale',
+                ],
+                'covariance': self.covariance.tolist(),
+                'by_calibration': self.calibration.tolist(),
+            },
+        }
+
+
+def transformed(R: FloatArray, scale: float, offset: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return ``scale R offset`` with a transformation that is moved by its parameters (7,)."""
+    turned = rotation(moved[:3]) @ (scale * R @ offset)
+    place: FloatArray = (1 + moved[6]) * turned + moved[3:6]
+    return place
+
+
+def read_tie(path: Path) -> SiteTie:
+    """Read a ``georeference.json``.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read or is not JSON.
+    MeasurementError
+        If it is not a georeference; the message begins with the path.
+
+    """
+    content = read_json(path, _REMEDY)
+    try:
+        transform, errors = content['transform'], content['errors']
+        names = tuple(str(name) for name in content['axes'])
+        values = {
+            name: numbers(name, transform[name], MeasurementError)
+            for name in ('R', 'pivot', 'pivot_site')
+        }
+        covariance = numbers('covariance', errors['covariance'], MeasurementError)
+        by_calibration = errors['by_calibration']
+        calibration = (
+            numbers('by_calibration', by_calibration, MeasurementError)
+            if by_calibration[0]
+            else np.empty((PARAMETERS, 0))
+        )
+        scale = number('scale', transform['scale'], MeasurementError)
+        level = content['level'] is True
+    except (KeyError, TypeError, IndexError) as error:
+        raise MeasurementError(f'{path} is not a georeference: {error!r}; {_REMEDY}') from error
+    except MeasurementError as error:
+        raise MeasurementError(f'{path}: {error}; {_REMEDY}') from error
+    shapes = [values['R'].shape, values['pivot'].shape, values['pivot_site'].shape]
+    if (
+        shapes != [(3, 3), (3,), (3,)]
+        or covariance.shape != (PARAMETERS,) * 2
+        or len(calibration) != PARAMETERS
+        or len(names) != 3
+        or not scale > 0
+    ):
+        raise MeasurementError(f'{path} is not a georeference: its matrices differ; {_REMEDY}')
+    return SiteTie(
+        values['R'], scale, values['pivot'], values['pivot_site'], covariance, calibration,
+        (names[0], names[1], names[2]), level,
+    )  # fmt: skip
