@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.cli.main import main
 from test.bag_tools import (
     HEIGHT,
@@ -40,7 +41,7 @@ def frames_of(output: Path) -> int:
     names = {
         f'{i:06d}{ending}'
         for i in range(count)
-        for ending in ('.ply', '_disparity.pfm', '_disparity.png', '_validity.png')
+        for ending in (spec.ending for spec in FRAME_FORMATS.values() if not spec.on_request)
     }
     assert {path.name for path in output.iterdir()} == names | {'summary.json'}
     assert [frame['index'] for frame in summary['frames']] == list(range(count))
