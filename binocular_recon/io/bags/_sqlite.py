@@ -13,6 +13,16 @@ from binocular_recon.errors import BagError
 
 # What SQLite adds to the name of a file for messages that are not in it yet, or may be undone.
 _JOURNALS = ('-wal', '-journal')
+# SQLite keeps a value of any type in any column.
+_NO_TEXT = "SELECT 1 FROM topics WHERE typeof(name) <> 'text' OR typeof(type) <> 'text'"
+_TOPICS = (
+    "SELECT id, coalesce(CAST(name AS TEXT), ''), coalesce(CAST(type AS TEXT), '') FROM topics"
+)
+# By rowid, in the order of the pages: the index on the timestamps may be lost.
+_MESSAGES = """
+    SELECT topic_id, coalesce(CAST(timestamp AS INTEGER), 0), coalesce(CAST(data AS BLOB), x'')
+    FROM messages ORDER BY id
+"""
 # What reading a damaged file raises: SQLite's messages quote names of it, UTF-8 or not.
 DAMAGE = (sqlite3.Error, UnicodeDecodeError)
 
@@ -57,7 +67,10 @@ def merge_journal(path: Path, folder: Path) -> Path:
 
 
 def check_tables(path: Path) -> None:
-    """Raise a BagError if a file computes its messages: that may never end, or fill the memory."""
+    """Raise a BagError if a file computes its messages: that may never end, or fill the memory.
+
+    Raises one of `DAMAGE` if it is damaged.
+    """
     with closing(_connect(path)) as database:
         kinds = database.execute(
             "SELECT name, type FROM sqlite_master WHERE name IN ('messages', 'topics')"
@@ -70,6 +83,8 @@ def check_tables(path: Path) -> None:
                     f'{path}: {name!r} is a {found}, not a table as recorders write it; record the'
                     ' bag again'
                 )
+        if database.execute(_NO_TEXT).fetchone():
+            raise sqlite3.DataError('the name or type of a topic is no text')
 
 
 def scan_tables(path: Path) -> Iterator[tuple[str, str, str, int, bytes]]:
@@ -77,11 +92,8 @@ def scan_tables(path: Path) -> Iterator[tuple[str, str, str, int, bytes]]:
     with closing(_connect(path)) as database:
         # Without this, SQLite refuses a file shorter than its first page says.
         database.execute('PRAGMA writable_schema=ON')
-        topics = {row[0]: row[1:] for row in database.execute('SELECT id, name, type FROM topics')}
-        # By rowid, in the order of the pages: the index on the timestamps may be lost.
-        for topic_id, stamp_ns, data in database.execute(
-            'SELECT topic_id, timestamp, data FROM messages ORDER BY id'
-        ):
+        topics = {row[0]: row[1:] for row in database.execute(_TOPICS)}
+        for topic_id, stamp_ns, data in database.execute(_MESSAGES):
             name, msgtype = topics[topic_id]
             yield name, msgtype, '', stamp_ns, data
 

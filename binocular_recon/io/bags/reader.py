@@ -232,9 +232,9 @@ class Bag(AbstractContextManager['Bag']):
             path, journal = merge_journal(path, self._temporary_folder()), False
         with suppress(*DAMAGE):  # damage is found below
             check_tables(path)
-        if not journal:  # which rosbags would leave out
-            with suppress(Exception):  # as above
-                return IntactSource(path)
+            if not journal:  # which rosbags would leave out
+                with suppress(Exception):  # as above
+                    return IntactSource(path)
         return DamagedSource(path, note=self._note_damage)
 
     def _temporary_folder(self) -> Path:
