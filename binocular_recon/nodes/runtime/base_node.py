@@ -95,9 +95,11 @@ class BaseNode(Node):
         if not all(reports_matches for _, reports_matches in created.values()):
             self.create_timer(_POLL_S, self.update_subscriptions, clock=steady)
 
-    def start_worker(self, work: Callable[[Any], None]) -> LatestWorker[Any]:
+    def start_worker(
+        self, work: Callable[[Any], None], kind: type[LatestWorker[Any]] = LatestWorker
+    ) -> LatestWorker[Any]:
         """Return a worker thread that ends with the node."""
-        worker = LatestWorker(work, self._on_internal_error)
+        worker = kind(work, self._on_internal_error)
         self._workers.append(worker)
         return worker
 

@@ -27,6 +27,9 @@ from binocular_recon.options import KINDS
 
 # The source location that ROS appends to its errors.
 _LOCATION = re.compile(r', at \S+:\d+')
+# How long a thread may keep the interpreter while others wait for it. Python's 5 ms are as long as
+# a kernel runs, after which its thread waits for the one that receives messages.
+_SWITCH_S = 0.0005
 # How ROS says that a parameter of its own has a value of a wrong type.
 _WRONG_TYPE = re.compile(
     r"parameter '(?P<name>.*)' to '(?P<value>.*)' of type '\w+', expecting type '(?P<kind>\w+)'",
@@ -144,6 +147,7 @@ def _run(
     try:
         if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
             raise_signals()
+            sys.setswitchinterval(_SWITCH_S)
         init_ros(args)
         with parameters_checked():
             node = make_node()
