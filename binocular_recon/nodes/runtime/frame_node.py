@@ -154,6 +154,8 @@ class FrameNode(BaseNode):
         """Return level and summary of the last second, and log what prevents frames."""
         processed = self._frames.processed()
         superseded = self._intake.superseded()
+        if went_back := self._synchronizer.went_back():
+            self.health.warning(went_back)
         if not self._subscriptions_in_use:
             return DiagnosticStatus.OK, f'idle: no subscribers on {", ".join(self._outputs)}'
         ages_s = self.health.silent()
