@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from sensor_msgs.msg import CameraInfo, Image
 
+from binocular_recon.config import PRESETS
 from binocular_recon.io.messages.images import read_image
 from binocular_recon.nodes.match_node import MatchNode
 from binocular_recon.nodes.rectify_node import RectifyNode
@@ -59,10 +60,10 @@ class StereoNode(FrameNode):
             self.start(self.INPUTS[:2] if self._rectify.calibrated else self.INPUTS)
 
     @staticmethod
-    def compile_kernels() -> None:
+    def compile_kernels(presets: Sequence[str] = tuple(PRESETS)) -> None:
         """Do what the stages do."""
-        MatchNode.compile_kernels()
-        WlsFilterNode.compile_kernels()
+        MatchNode.compile_kernels(presets)
+        WlsFilterNode.compile_kernels(presets)
 
     def process(self, left: Image, right: Image, *infos: CameraInfo) -> Rest | None:
         """Publish the outputs that somebody subscribes to, and compute no more than they need."""

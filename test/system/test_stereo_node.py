@@ -9,7 +9,7 @@ from stereo_msgs.msg import DisparityImage
 
 from test.system.chain import prime, start_chain
 from test.system.conftest import StartNode
-from test.system.graph import Graph, wait_until
+from test.system.graph import Graph
 from test.system.rig import SIDES, CameraPair, header, image_message, image_pair, raw_rig
 
 NODE = '/rig/stereo_node'
