@@ -108,6 +108,12 @@ def _memory(lives: Sequence[Life]) -> str:
     colours = {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(names)}
     for one in lives:
         chart.line(np.column_stack([one.times_s, one.memory_mb]), colours[one.node])
-    return figure(
-        chart.svg('Memory of each process over time'), legend(*colours.items()), kind='wide'
+    rows = []
+    for one in lives:
+        lived_s = one.times_s[-1] - one.times_s[0]
+        grown = f'{growth(one):.1%}' if lived_s > _SETTLED_S else ''
+        rows.append([one.node, f'{lived_s:.0f}', f'{one.memory_mb[-1]:.0f}', grown])
+    drawing = chart.svg('Memory of each process over time')
+    return figure(drawing, legend(*colours.items()), kind='wide') + table(
+        ['process', 'lived s', 'MB at the end', 'growth after 5 minutes'], rows
     )

@@ -119,7 +119,8 @@ def test_a_first_start_compiles_its_preset_says_so_and_leaves_the_others_to_anot
     node.get_logger().info.side_effect = lambda _: said.set()
     started = Mock(pid=os.getpid())
     monkeypatch.setattr(process, '_PROGRESS_EVERY_S', 0.01)
-    monkeypatch.setattr(subprocess, 'Popen', Mock(return_value=started))
+    popen = Mock(return_value=started)
+    monkeypatch.setattr(subprocess, 'Popen', popen)
     monkeypatch.setattr(os, 'setpriority', Mock())
     at_exit: list[Any] = []
     monkeypatch.setattr(atexit, 'register', at_exit.append)
@@ -127,11 +128,11 @@ def test_a_first_start_compiles_its_preset_says_so_and_leaves_the_others_to_anot
         monkeypatch.setattr(base_node, 'compiled_count', lambda count=count: count)
         monkeypatch.setattr(base_node, 'cache_problem', str)
         base_node.BaseNode.prepare(node)
-        assert subprocess.Popen.called == bool(count), 'only where something was missing'
+        assert popen.called == bool(count), 'only where something was missing'
     assert compiled == [['fast']] * 2
     lines = [call.args[0] for call in node.get_logger().info.call_args_list]
     assert lines[0].startswith('compiling kernels: 0 after 0 s') and 'ready after' in lines[-1]
-    (command,) = subprocess.Popen.call_args.args
+    (command,) = popen.call_args.args
     assert command[-3:] == ['warm-up', '--presets', 'paper,default,accurate']
     at_exit[0]()
     assert started.kill.called and started.wait.called
