@@ -17,7 +17,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon clients fuzz evaluate benchmark docs nodes-page site images maintainers \
+        jazzy-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
         lock dist clean distclean
 
 help: ## this list
@@ -103,6 +103,9 @@ MINUTES ?= 10
 
 fuzz: setup ## changed inputs of every form for MINUTES=10; findings go to out/fuzz/
 	$(RUN) test/fuzz/run.py --minutes $(MINUTES) --seed $$(date +%s)
+
+soak: setup ## the nodes under faults of every kind for MINUTES=10; report in out/soak/
+	$(RUN) test/soak/run.py --minutes $(MINUTES) --output out/soak
 
 # OpenCV's contributed modules, for comparison only, cannot be in one environment with plain OpenCV.
 SCENES ?= $(or $(BINOCULAR_RECON_DATA),../shared/data)/stereo

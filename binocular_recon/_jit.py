@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -86,9 +87,21 @@ def thread_count() -> int:
     return max(1, min(available, int(limit))) if limit.isdigit() else available
 
 
+_lane = threading.local()
+
+
+def use_lane(name: str) -> None:
+    """Run the kernels that this thread calls beside those of other lanes, not behind them.
+
+    Threads of one lane share its pool, where what is called first runs first: a thread with many
+    short kernels would wait for the long ones of another.
+    """
+    _lane.name = name
+
+
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix='kernel')
+def _pool(threads: int, lane: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix=f'kernel{lane}')
 
 
 if hasattr(os, 'register_at_fork'):  # a forked process does not inherit the threads
@@ -107,5 +120,6 @@ def over_strips(function: Callable[..., None], length: int, *args: Any, strip: i
         for start, stop in bounds:
             function(*args, start, stop)
         return
-    for future in [_pool(threads).submit(function, *args, start, stop) for start, stop in bounds]:
+    pool = _pool(threads, getattr(_lane, 'name', ''))
+    for future in [pool.submit(function, *args, start, stop) for start, stop in bounds]:
         future.result()

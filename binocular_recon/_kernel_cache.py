@@ -20,11 +20,17 @@ PACKAGE = Path(__file__).parent
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 _problems: list[str] = []
+_kept: list[str] = []
 
 
 def cache_problem() -> str:
     """Return why what was compiled could not be kept; '' if it could or nothing was compiled."""
     return _problems[0] if _problems else ''
+
+
+def compiled_count() -> int:
+    """Return how many kernels this process has compiled, rather than loaded, and kept."""
+    return len(_kept)
 
 
 def enable_cache(compiled: Any, function: Callable[..., Any]) -> None:
@@ -104,6 +110,7 @@ class _Cache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+            _kept.append(self._name)
         except OSError as error:
             _problems.append(
                 f'compiled kernels cannot be kept in {self._cache_path}: {error.strerror}; every'

@@ -62,6 +62,7 @@ class Synchronizer:
         self._tolerance_ns = None if by_arrival else tolerance_ns
         self._by_arrival, self._offsets_ns = by_arrival, offsets_ns or {}
         self._queues = {name: MessageQueue(name) for name in names}
+        self._went_back = ''
         self._leader = self._queues[names[0]]
         self._lock = threading.Lock()
 
@@ -97,6 +98,12 @@ class Synchronizer:
                 ),
                 '',
             )
+
+    def went_back(self) -> str:
+        """Say that stamps of an input have jumped back since the last call, '' if none have."""
+        with self._lock:
+            text, self._went_back = self._went_back, ''
+            return text
 
     def finish(self) -> list[tuple[Any, ...]]:
         """End all inputs and return the sets that still waited for a nearer message."""
@@ -219,6 +226,10 @@ class Synchronizer:
         step_ns = entry.stamp_ns - queue.recent_ns[-1] if queue.recent_ns else 0
         queue.equal = queue.equal + 1 if step_ns == 0 else 1
         if step_ns < 0:
+            self._went_back = (
+                f'stamps of {queue.name} went back by {-step_ns / 1e9:.3f} s: a recording that'
+                ' loops, or a clock that was set; messages that waited were dropped'
+            )
             self._jump_back(queue)
         else:
             queue.behind = max(0, queue.behind - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -72,8 +72,9 @@ class CalibrationNode(FrameNode):
         self.start()
 
     @staticmethod
-    def compile_kernels() -> None:
-        """Detect some rods."""
+    def compile_kernels(presets: Sequence[str] = ()) -> None:
+        """Detect some rods; no preset matters."""
+        del presets
         compile_detection()
 
     def needed(self) -> bool:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -38,10 +40,10 @@ class MatchNode(RectifiedNode):
         self.start()
 
     @staticmethod
-    def compile_kernels() -> None:
-        """Match noise with every preset."""
+    def compile_kernels(presets: Sequence[str] = tuple(PRESETS)) -> None:
+        """Match noise with these presets."""
         noise = np.random.default_rng(0).uniform(0, 255, (64, 96)).astype(np.float32)
-        for preset in PRESETS:
+        for preset in presets:
             match(noise, noise, ChainConfig.preset(preset, disparity_range=16).match)
 
     def process(

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from sensor_msgs.msg import CameraInfo, Image
 
+from binocular_recon.config import PRESETS
 from binocular_recon.io.messages.images import read_image
 from binocular_recon.nodes.match_node import MatchNode
 from binocular_recon.nodes.rectify_node import RectifyNode
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions, RectifiedImageOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.nodes.runtime.worker import Rest
 from binocular_recon.nodes.stages.filtering import FilterStage, Measured
 from binocular_recon.nodes.stages.matching import MatchedPair, MatchStage
 from binocular_recon.nodes.stages.rectification import RectifiedPair, RectifyStage
@@ -55,27 +60,34 @@ class StereoNode(FrameNode):
             self.start(self.INPUTS[:2] if self._rectify.calibrated else self.INPUTS)
 
     @staticmethod
-    def compile_kernels() -> None:
+    def compile_kernels(presets: Sequence[str] = tuple(PRESETS)) -> None:
         """Do what the stages do."""
-        MatchNode.compile_kernels()
-        WlsFilterNode.compile_kernels()
+        MatchNode.compile_kernels(presets)
+        WlsFilterNode.compile_kernels(presets)
 
-    def process(self, left: Image, right: Image, *infos: CameraInfo) -> None:
+    def process(self, left: Image, right: Image, *infos: CameraInfo) -> Rest | None:
         """Publish the outputs that somebody subscribes to, and compute no more than they need."""
-        begun_s = time.monotonic()
-        times = {}
-        pair = self._rectified(left, right, *infos)
-        times['rectify'] = time.monotonic()
-        if self.wanted(*_MATCHED, *_FILTERED):
+        with self._timed('rectify'):
+            pair = self._rectified(left, right, *infos)
+        if not self.wanted(*_MATCHED, *_FILTERED):
+            return None
+        with self._timed('match'):
             matched = self._match(pair.images[0].image, pair.images[1].image, pair.rig)
             self._match.publish(matched, pair.rig, pair.headers[0])
-            times['match'] = time.monotonic()
-            if self.wanted(*_FILTERED):
-                self._filter(_measured(pair, matched))
-                times['filter'] = time.monotonic()
-        for stage, end_s in times.items():
-            self.health.state(f'time of {stage}', f'{1000 * (end_s - begun_s):.1f} ms')
-            begun_s = end_s
+        if not self.wanted(*_FILTERED):
+            return None
+        return functools.partial(self._filtered, _measured(pair, matched))
+
+    def _filtered(self, measured: Measured) -> None:
+        with self._timed('filter'):
+            self._filter(measured)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        """State in the diagnostics how long a stage takes."""
+        begun_s = time.monotonic()
+        yield
+        self.health.state(f'time of {stage}', f'{1000 * (time.monotonic() - begun_s):.1f} ms')
 
     def _rectified(self, left: Image, right: Image, *infos: CameraInfo) -> RectifiedPair:
         """Return a pair rectified and published, or as it is if the cameras rectify."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image
@@ -58,13 +59,13 @@ class WlsFilterNode(RectifiedNode):
         self.start()
 
     @staticmethod
-    def compile_kernels() -> None:
-        """Filter noise with every preset and either guide."""
+    def compile_kernels(presets: Sequence[str] = tuple(PRESETS)) -> None:
+        """Filter noise with these presets and either guide."""
         generator = np.random.default_rng(0)
         grey = generator.uniform(0, 255, (48, 64)).astype(np.float32)
         disparity = generator.uniform(1, 8, grey.shape).astype(np.float32)
         ones = np.ones_like(grey)
-        for preset, guide in itertools.product(PRESETS, ('left', 'disparity')):
+        for preset, guide in itertools.product(presets, ('left', 'disparity')):
             config = ChainConfig.preset(preset, wls_guide=guide).filter
             filter_disparity(disparity, ones, grey, config, limits_px=(0.0, 15.0))
 

@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from sensor_msgs.msg import Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
 from test.system.chain import prime, start_chain
 from test.system.conftest import StartNode
-from test.system.graph import Graph, wait_until
+from test.system.graph import Graph
 from test.system.rig import SIDES, CameraPair, header, image_message, image_pair, raw_rig
 
 NODE = '/rig/stereo_node'
@@ -52,32 +50,6 @@ def test_stages_run_while_somebody_subscribes_to_their_results(
         assert [name for name in STATED if f'time of {name}' in values] == stages
         published = {key for key in values if key.startswith('published ')}
         assert f'published {topic}' in published and len(published) == len(stages)
-
-
-def test_a_silent_camera_is_named_and_frames_come_again_after_it(
-    graph: Graph, cameras: CameraPair
-) -> None:
-    with graph.listening(('/rig/points2', PointCloud2)) as inboxes:
-        graph.wait_for_subscriber(*cameras.topics)
-        prime(cameras, inboxes, IMAGES)
-        indices = itertools.count(30_000)
-        (inbox,) = inboxes
-
-        def one_camera() -> bool:
-            index = next(indices)
-            cameras.send(index, IMAGES, right_image=None, right_info=None)
-            status = graph.status(NODE)
-            assert not inbox.messages
-            return status is not None and (
-                'no messages on right/image_raw for' in status.message
-                and 'right/camera_info for' in status.message
-                and status.level == status.ERROR
-            )
-
-        wait_until(one_camera, 'the silent camera in the status', every_s=0.1)
-        prime(cameras, inboxes, IMAGES)
-    (status,) = graph.next_status(NODE)
-    assert status.name == 'rig/stereo_node: frames'
 
 
 def test_a_bad_image_is_dropped_with_the_reason(graph: Graph, cameras: CameraPair) -> None:

@@ -99,6 +99,8 @@ def test_an_input_that_never_shows_the_jump_pairs_again() -> None:
     sets = feed(synchronizer, messages)
     assert stamps(sets)[-1] == (19 * MS, 19 * MS) and len(sets) >= 13
     assert synchronizer.dropped['clock went back'] == 1
+    assert 'went back by' in synchronizer.went_back()
+    assert synchronizer.went_back() == '', 'it is said once'
 
 
 def test_approximate_set_is_found_without_waiting_for_the_next_frame() -> None:

@@ -13,11 +13,14 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from binocular_recon._kernel_cache import cache_problem
+from binocular_recon._kernel_cache import cache_problem, compiled_count
+from binocular_recon.config import PRESETS
 from binocular_recon.nodes.runtime.diagnostics import PERIOD_S, DiagnosticsPublisher
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_output
 from binocular_recon.nodes.runtime.health import Health
+from binocular_recon.nodes.runtime.options import PresetOptions
 from binocular_recon.nodes.runtime.parameters import Parameters
+from binocular_recon.nodes.runtime.process import compile_elsewhere, saying_progress
 from binocular_recon.nodes.runtime.worker import LatestWorker
 from binocular_recon.options import Options
 
@@ -68,16 +71,26 @@ class BaseNode(Node):
         self.health = Health(self.get_logger())
 
     @staticmethod
-    def compile_kernels() -> None:
-        """Run every kernel that the node uses once; by default it uses none."""
+    def compile_kernels(presets: Sequence[str] = tuple(PRESETS)) -> None:
+        """Run every kernel that the node uses with these presets once; by default it uses none."""
 
     def prepare(self) -> None:
-        """Compile the kernels before the first frame; later starts load them from the cache."""
+        """Compile the kernels before the first frame; later starts load them from the cache.
+
+        If there was something to compile, another process goes on with the other presets.
+        """
+        options = (*self.LIVE, *self.FIXED)
+        own = (
+            [self.options.of(PresetOptions).preset] if PresetOptions in options else list(PRESETS)
+        )
         begun_s = time.monotonic()
-        self.compile_kernels()
+        with saying_progress(self.get_logger()):
+            self.compile_kernels(own)
         self.get_logger().info(f'kernels ready after {time.monotonic() - begun_s:.1f} s')
         if cache_problem():
             self.get_logger().warning(cache_problem())
+        elif compiled_count() and len(own) < len(PRESETS):
+            compile_elsewhere([name for name in PRESETS if name not in own])
 
     def start(self, *, outputs: Sequence[Output] | None = None) -> None:
         """Create the publishers and report on /diagnostics from now on.
@@ -95,9 +108,11 @@ class BaseNode(Node):
         if not all(reports_matches for _, reports_matches in created.values()):
             self.create_timer(_POLL_S, self.update_subscriptions, clock=steady)
 
-    def start_worker(self, work: Callable[[Any], None]) -> LatestWorker[Any]:
+    def start_worker(
+        self, work: Callable[[Any], None], kind: type[LatestWorker[Any]] = LatestWorker
+    ) -> LatestWorker[Any]:
         """Return a worker thread that ends with the node."""
-        worker = LatestWorker(work, self._on_internal_error)
+        worker = kind(work, self._on_internal_error)
         self._workers.append(worker)
         return worker
 

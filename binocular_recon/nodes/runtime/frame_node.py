@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from binocular_recon._jit import limit_threads
 from binocular_recon.camera import StereoRig
-from binocular_recon.errors import BinocularReconError, CalibrationError, plain_text
+from binocular_recon.errors import plain_text
 from binocular_recon.io.messages.camera_infos import calibration_content, rig_from_messages
 from binocular_recon.io.messages.images import stamp_ns
 from binocular_recon.nodes.runtime.base_node import BaseNode
@@ -22,7 +22,7 @@ from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
 from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions
 from binocular_recon.nodes.runtime.remedies import remedy
-from binocular_recon.nodes.runtime.worker import Intake
+from binocular_recon.nodes.runtime.worker import Intake, InTwoThreads, Rest
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
 
@@ -57,8 +57,8 @@ class FrameNode(BaseNode):
     def __init__(self) -> None:
         super().__init__()
         self._rig: tuple[Any, StereoRig] | None = None
-        self._processed = 0
         submit = self.start_worker(self._work).submit
+        self._frames = InTwoThreads(self.health, self.process, self.start_worker)
         self._intake = Intake(self.health, submit, lambda: self.options.of(LoadOptions).max_rate)
 
     def start(
@@ -94,8 +94,12 @@ class FrameNode(BaseNode):
         super().start(outputs=outputs)
         self.update_subscriptions()
 
-    def process(self, *messages: Any) -> None:
-        """Make the outputs from one message per input, None for a missing optional one."""
+    def process(self, *messages: Any) -> Rest | None:
+        """Make the outputs from one message per input, None for a missing optional one.
+
+        It may return the second half of the work, which is done in another thread, while the next
+        frame is begun.
+        """
         raise NotImplementedError
 
     def needed(self) -> bool:
@@ -148,8 +152,10 @@ class FrameNode(BaseNode):
 
     def condition(self) -> tuple[bytes, str]:
         """Return level and summary of the last second, and log what prevents frames."""
-        processed, self._processed = self._processed, 0
+        processed = self._frames.processed()
         superseded = self._intake.superseded()
+        if went_back := self._synchronizer.went_back():
+            self.health.warning(went_back)
         if not self._subscriptions_in_use:
             return DiagnosticStatus.OK, f'idle: no subscribers on {", ".join(self._outputs)}'
         ages_s = self.health.silent()
@@ -275,23 +281,7 @@ class FrameNode(BaseNode):
 
     def _work(self, messages: tuple[Any, ...]) -> None:
         limit_threads(self.options.of(LoadOptions).threads)
-        self._intake.work(self._process_frame, messages, asks_early=self.ASKS_EARLY)
-
-    def _process_frame(self, messages: tuple[Any, ...]) -> None:
-        """Process a frame in the worker thread; an unusable one is counted and reported."""
-        begun_s = time.monotonic()
-        try:
-            self.process(*messages)
-        except BinocularReconError as error:
-            kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
-            self.health.dropped(kind)
-            self.health.error(str(error))
-        except MemoryError as error:
-            self.health.dropped('not enough memory')
-            self.health.error(f'{error}; reduce disparity_range or the size of the images')
-        else:
-            self._processed += 1
-            self.health.processed(time.monotonic() - begun_s)
+        self._intake.work(self._frames.process, messages, asks_early=self.ASKS_EARLY)
 
 
 def _since(ages_s: Mapping[str, float]) -> str:

@@ -33,14 +33,20 @@ _KINDS = 100
 
 
 class _Arrivals(NamedTuple):
-    """When the last message of a topic arrived, and how long after the previous one."""
+    """When the last message of a topic arrived, and how long it and the one before it took."""
 
     last_s: float
-    interval_s: float = 0.0
+    gaps_s: tuple[float, ...] = ()
     seen: bool = False
 
+    @property
+    def interval_s(self) -> float:
+        """Shorter of the last two gaps, so that one pause does not excuse the next; 0 = none."""
+        return min(self.gaps_s, default=0.0)
+
     def next(self, now_s: float) -> _Arrivals:
-        return _Arrivals(now_s, now_s - self.last_s if self.seen else 0.0, seen=True)
+        gaps_s = (*self.gaps_s[-1:], now_s - self.last_s) if self.seen else ()
+        return _Arrivals(now_s, gaps_s, seen=True)
 
 
 class Health:

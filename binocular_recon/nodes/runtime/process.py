@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import os
 import re
+import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -20,6 +25,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from binocular_recon._kernel_cache import compiled_count
 from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
 from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.nodes.runtime import shared_memory
@@ -27,6 +33,11 @@ from binocular_recon.options import KINDS
 
 # The source location that ROS appends to its errors.
 _LOCATION = re.compile(r', at \S+:\d+')
+# How long a thread may keep the interpreter while others wait for it. Python's 5 ms are as long as
+# a kernel runs, after which its thread waits for the one that receives messages.
+_SWITCH_S = 0.0005
+# How often to log that kernels are still being compiled.
+_PROGRESS_EVERY_S = 4.0
 # How ROS says that a parameter of its own has a value of a wrong type.
 _WRONG_TYPE = re.compile(
     r"parameter '(?P<name>.*)' to '(?P<value>.*)' of type '\w+', expecting type '(?P<kind>\w+)'",
@@ -106,6 +117,47 @@ def parameters_checked() -> Iterator[None]:
         raise ConfigError(f'ROS rejects a parameter: {error}') from error
 
 
+@contextlib.contextmanager
+def saying_progress(logger: Any) -> Iterator[None]:
+    """Log that kernels are compiled, and how many are, while this lasts longer than loading."""
+    done = threading.Event()
+
+    def say() -> None:
+        begun_s = time.monotonic()
+        while not done.wait(_PROGRESS_EVERY_S):
+            text = (
+                f'compiling kernels: {compiled_count()} after {time.monotonic() - begun_s:.0f} s;'
+                ' the first start takes up to half a minute, unless binocular-recon warm-up ran'
+                ' at the installation'
+            )
+            logger.info(text)
+
+    thread = threading.Thread(target=say, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
+def compile_elsewhere(presets: Sequence[str]) -> None:
+    """Start a process, of low priority, that compiles the kernels of presets into the cache.
+
+    It ends with this one.
+    """
+    command = [sys.executable, '-m', 'binocular_recon', 'warm-up', '--presets', ','.join(presets)]
+    nothing = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
+    os.setpriority(os.PRIO_PROCESS, process.pid, 10)
+
+    def end() -> None:
+        process.kill()
+        process.wait()
+
+    atexit.register(end)
+
+
 def run_node(
     make_node: Callable[[], Node], args: Sequence[str] | None = None, *, threads: int = 1
 ) -> int:
@@ -144,6 +196,7 @@ def _run(
     try:
         if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
             raise_signals()
+            sys.setswitchinterval(_SWITCH_S)
         init_ros(args)
         with parameters_checked():
             node = make_node()

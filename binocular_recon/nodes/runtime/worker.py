@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run jobs in a worker thread, the newest first, when they are wanted, without a backlog."""
+"""Run jobs in worker threads, the newest first, when they are wanted, without a backlog."""
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
+from binocular_recon._jit import use_lane
+from binocular_recon.errors import BinocularReconError, CalibrationError
 from binocular_recon.nodes.runtime.demand import Demand, Requests
 from binocular_recon.nodes.runtime.health import Health
 
 Job = TypeVar('Job')
+# The second half of a frame's work.
+Rest = Callable[[], None]
 
 
 class LatestWorker(Generic[Job]):
@@ -56,11 +61,87 @@ class LatestWorker(Generic[Job]):
                 if self._closed:
                     return
                 job = self._waiting.pop()
+                self._changed.notify_all()
             try:
                 self._work(job)
             except Exception as error:  # noqa: BLE001 - a fault in one job must not end the thread
                 self._on_error(error)
             del job  # else its images stay in memory until the next job
+
+
+class NextWorker(LatestWorker[Job]):
+    """A thread that does every job, in order: who hands one in waits until it is begun.
+
+    So the next frame is begun while this thread finishes one, and at most one more is complete.
+    """
+
+    def submit(self, job: Job) -> bool:
+        """Hand in a job and wait until it is begun, or the thread has ended; return False."""
+        super().submit(job)
+        with self._changed:
+            self._changed.wait_for(lambda: not self._waiting or self._closed)
+        return False
+
+
+class InTwoThreads:
+    """Processes frames in the thread that calls, and their second halves in one of its own.
+
+    A frame that cannot be used is counted and reported.
+
+    Parameters
+    ----------
+    health : Health
+        Counts the frames.
+    process : callable
+        Processes a frame, given as its messages, or returns the second half of that work.
+    start_worker : callable
+        Starts a worker of the node.
+
+    """
+
+    def __init__(
+        self,
+        health: Health,
+        process: Callable[..., Rest | None],
+        start_worker: Callable[
+            [Callable[[Any], None], type[LatestWorker[Any]]], LatestWorker[Any]
+        ],
+    ) -> None:
+        self._health, self._process = health, process
+        self._second = start_worker(self._finish, NextWorker)
+        self._lock, self._processed = threading.Lock(), 0
+
+    def process(self, messages: tuple[Any, ...]) -> None:
+        """Process a frame; its second half may be still to be done."""
+        self._do(functools.partial(self._process, *messages), time.monotonic())
+
+    def processed(self) -> int:
+        """Return how many frames are done since the last call."""
+        with self._lock:
+            count, self._processed = self._processed, 0
+            return count
+
+    def _finish(self, rest: tuple[Rest, float]) -> None:
+        use_lane('-second')
+        self._do(*rest)
+
+    def _do(self, work: Callable[[], Rest | None], begun_s: float) -> None:
+        try:
+            rest = work()
+        except BinocularReconError as error:
+            kind = 'bad calibration' if isinstance(error, CalibrationError) else 'bad input'
+            self._health.dropped(kind)
+            self._health.error(str(error))
+        except MemoryError as error:
+            self._health.dropped('not enough memory')
+            self._health.error(f'{error}; reduce disparity_range or the size of the images')
+        else:
+            if rest is not None:
+                self._second.submit((rest, begun_s))
+                return
+            with self._lock:
+                self._processed += 1
+            self._health.processed(time.monotonic() - begun_s)
 
 
 class Intake(Generic[Job]):

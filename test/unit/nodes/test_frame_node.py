@@ -32,15 +32,25 @@ pytestmark = pytest.mark.ros
 def test_a_frame_that_fails_is_counted_and_reported(
     error: Exception, dropped: str, text: str
 ) -> None:
-    from binocular_recon.nodes.runtime.frame_node import FrameNode
+    from binocular_recon.nodes.runtime.worker import InTwoThreads, LatestWorker
 
-    node: Any = SimpleNamespace(
-        process=Mock(side_effect=error), health=Mock(), context=Mock(), _processed=0
-    )
-    FrameNode._process_frame(node, ('left', 'right'))
-    node.health.dropped.assert_called_once_with(dropped)
-    assert text in node.health.error.call_args.args[0]
-    assert node._processed == 0
+    def fail() -> None:
+        raise error
+
+    for process in (Mock(side_effect=error), Mock(return_value=fail)):  # in either half
+        health, workers = Mock(), []
+
+        def start(work: Callable[[Any], None], kind: type[LatestWorker[Any]]) -> LatestWorker[Any]:
+            workers.append(kind(work, Mock()))  # noqa: B023 - called at once
+            return workers[-1]  # noqa: B023
+
+        frames = InTwoThreads(health, process, start)
+        frames.process(('left', 'right'))
+        workers[0].close(5)
+        process.assert_called_once_with('left', 'right')
+        health.dropped.assert_called_once_with(dropped)
+        assert text in health.error.call_args.args[0]
+        assert frames.processed() == 0
 
 
 @pytest.mark.parametrize('running', [True, False])
@@ -194,7 +204,8 @@ def test_what_prevents_frames(
     from binocular_recon.nodes.runtime.frame_node import FrameNode
 
     node: Any = object.__new__(FrameNode)
-    node._processed, node._subscriptions_in_use = 7, [Mock()] * 3
+    node._frames = Mock(processed=lambda: 7)
+    node._subscriptions_in_use = [Mock()] * 3
     node._intake = Mock(superseded=lambda: 0)
     node._inputs = {
         name: Mock(transported=name == 'left') for name in ('left', 'disparity', 'confidence')

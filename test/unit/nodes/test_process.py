@@ -3,8 +3,13 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import subprocess
+import threading
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -93,3 +98,41 @@ def test_an_error_after_an_interrupt_is_not_a_failure(
     else:
         with pytest.raises(RuntimeError, match='context'):
             run_node(lambda: node, ['ends'])
+
+
+def test_a_first_start_compiles_its_preset_says_so_and_leaves_the_others_to_another_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from binocular_recon.nodes.match_node import MatchNode
+    from binocular_recon.nodes.runtime import base_node, process
+    from binocular_recon.nodes.runtime.options import PresetOptions
+
+    said, compiled = threading.Event(), []
+    node: Any = Mock(LIVE=MatchNode.LIVE, FIXED=MatchNode.FIXED)
+    node.options.of = lambda _: PresetOptions(preset='fast')
+
+    def compile_kernels(presets: list[str]) -> None:
+        compiled.append(presets)
+        assert said.wait(5)
+
+    node.compile_kernels = compile_kernels
+    node.get_logger().info.side_effect = lambda _: said.set()
+    started = Mock(pid=os.getpid())
+    monkeypatch.setattr(process, '_PROGRESS_EVERY_S', 0.01)
+    popen = Mock(return_value=started)
+    monkeypatch.setattr(subprocess, 'Popen', popen)
+    monkeypatch.setattr(os, 'setpriority', Mock())
+    at_exit: list[Any] = []
+    monkeypatch.setattr(atexit, 'register', at_exit.append)
+    for count in (0, 3):
+        monkeypatch.setattr(base_node, 'compiled_count', lambda count=count: count)
+        monkeypatch.setattr(base_node, 'cache_problem', str)
+        base_node.BaseNode.prepare(node)
+        assert popen.called == bool(count), 'only where something was missing'
+    assert compiled == [['fast']] * 2
+    lines = [call.args[0] for call in node.get_logger().info.call_args_list]
+    assert lines[0].startswith('compiling kernels: 0 after 0 s') and 'ready after' in lines[-1]
+    (command,) = popen.call_args.args
+    assert command[-3:] == ['warm-up', '--presets', 'paper,default,accurate']
+    at_exit[0]()
+    assert started.kill.called and started.wait.called

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import threading
 
-from binocular_recon.nodes.runtime.worker import LatestWorker
+from binocular_recon.nodes.runtime.worker import LatestWorker, NextWorker
 
 
 def unexpected(error: Exception) -> None:
@@ -89,3 +89,33 @@ def test_the_next_job_is_done_after_one_that_failed() -> None:
     assert done.wait(5)
     worker.close(5)
     assert [type(error) for error in failures] == [ZeroDivisionError]
+
+
+def test_who_hands_in_the_next_job_waits_until_it_is_begun_and_none_is_lost() -> None:
+    begun, go, done = threading.Event(), threading.Event(), []
+
+    def work(job: int) -> None:
+        begun.set()
+        assert go.wait(5)
+        done.append(job)
+
+    worker = NextWorker(work, unexpected)
+    assert worker.submit(0) is False  # it is begun
+    assert begun.wait(5)
+    handing_in = threading.Thread(target=worker.submit, args=[1])
+    handing_in.start()
+    with worker._changed:
+        assert worker._waiting in ([], [1])
+    handing_in.join(0.05)
+    assert handing_in.is_alive() and not done
+    go.set()
+    handing_in.join(5)
+    worker.submit(2)
+    worker.close(5)
+    assert done == [0, 1, 2]
+
+
+def test_nobody_waits_for_a_thread_that_has_ended() -> None:
+    worker: NextWorker[int] = NextWorker(lambda _job: None, unexpected)
+    worker.close(5)
+    assert worker.submit(0) is False
