@@ -10,7 +10,7 @@ from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.accuracy.scenes import TruthScene
-from binocular_recon.images import FloatImage, Image, Mask, to_grey
+from binocular_recon.images import FloatImage, Image, Mask, to_bgr8, to_grey
 from binocular_recon.options import OptionValue
 from binocular_recon.stereo.confidence import sigma_from_confidence
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
@@ -101,7 +101,8 @@ def match_method(preset: str, **overrides: OptionValue) -> Method:
         config = _config(preset, overrides, disparity_range)
 
         def run() -> MethodResult:
-            matched = match(to_grey(left), to_grey(right), config.match)
+            greys = to_grey(left), to_grey(right)
+            matched = match(*greys, config.match, lambda: (to_bgr8(left), to_bgr8(right)))
             return MethodResult(matched.disparity_px, sigma_from_confidence(matched.confidence))
 
         return run
