@@ -6,7 +6,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import onnx
+import pytest
+
+onnx = pytest.importorskip('onnx', reason='the extra onnx is not installed')
+pytest.importorskip('onnxruntime', reason='the extra onnx is not installed')
 
 
 def block_matcher(shape: list[Any], disparities: int = 10, *, inputs: int = 2) -> Any:

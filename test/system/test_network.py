@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from stereo_msgs.msg import DisparityImage
 
@@ -19,9 +18,7 @@ from test.system.chain import reliable
 from test.system.conftest import StartNode
 from test.system.graph import Graph, NodeProcess, wait_until
 from test.system.rig import SIDES, header, image_message, image_pair, info_message, raw_rig
-
-onnx = pytest.importorskip('onnx', reason='the extra onnx is not installed')
-pytest.importorskip('onnxruntime', reason='the extra onnx is not installed')
+from test.tiny_networks import block_matcher, onnx
 
 RECTIFY = Rectifier(raw_rig(0.0))
 PAIR = RECTIFY(*image_pair(5, colour=True))
@@ -36,8 +33,6 @@ INPUTS: dict[str, type[Any]] = {
 def test_a_network_makes_the_cloud_and_a_damaged_one_drops_frames(
     graph: Graph, start_node: StartNode, tmp_path: Path
 ) -> None:
-    from test.tiny_networks import block_matcher
-
     path = tmp_path / 'network.onnx'
     onnx.save(block_matcher(['n', 3, 'h', 'w'], disparities=30), str(path))
     network = path.read_bytes()

@@ -21,10 +21,7 @@ from binocular_recon.options import OptionValue
 from binocular_recon.stereo import estimate_disparity, match
 from binocular_recon.stereo.foreign.onnx_model import NetworkError
 from binocular_recon.stereo.validity import Validity
-from test.tiny_networks import block_matcher, graph, node
-
-onnx = pytest.importorskip('onnx', reason='the extra onnx is not installed')
-pytest.importorskip('onnxruntime', reason='the extra onnx is not installed')
+from test.tiny_networks import block_matcher, graph, node, onnx
 
 ROWS, COLUMNS, SHIFT = 40, 90, 6
 FREE = ['n', 3, 'h', 'w']

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -21,6 +20,8 @@ from binocular_recon.stereo import Chain
 from binocular_recon.stereo.matching import Match, match, register_matcher, registry
 from binocular_recon.stereo.validity import Validity
 
+pytestmark = pytest.mark.usefixtures('built_in_matchers')
+
 HEIGHT, WIDTH = 24, 32
 BLANK = np.full((HEIGHT, WIDTH), 90, np.uint8)
 
@@ -31,15 +32,6 @@ def constant(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     disparity = np.full(left.shape, config.min_disparity + config.disparity_range // 2, np.float32)
     validity = np.full(left.shape, Validity.MEASURED, np.uint8)
     return Match(disparity, np.ones_like(disparity), validity)
-
-
-@pytest.fixture(autouse=True)
-def only_built_in_ones_afterwards() -> Iterator[None]:
-    names = list(MATCHER_NAMES)
-    yield
-    for name in set(MATCHER_NAMES) - set(names):
-        MATCHER_NAMES.remove(name)
-        registry._MATCHERS.pop(name, None)
 
 
 def make_rig() -> StereoRig:
