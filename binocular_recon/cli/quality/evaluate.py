@@ -190,7 +190,8 @@ def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) ->
         'failures': failures,
     }
     write_json(args.output / 'evaluation.json', to_plain(facts))
-    page = report.page('Evaluation', notes, tables, evaluated.sections)
+    ours = [score.method for score in evaluated.scenes[0].scores if score.ours]
+    page = report.page('Evaluation', notes, tables, evaluated.sections, ours)
     with complete_file(args.output / 'evaluation.html') as file:
         file.write(page.encode())
 

@@ -51,7 +51,8 @@ class ExternalPeer:
     Raises
     ------
     ConfigError
-        If the command cannot be split, is empty, or names some of the files only.
+        If the name does not fit into a table, or the command cannot be split, is empty or names
+        some of the files only.
 
     """
 
@@ -60,7 +61,9 @@ class ExternalPeer:
     timeout_s: float = TIMEOUT_S
 
     def __post_init__(self) -> None:
-        """Check the command."""
+        """Check name and command."""
+        if '|' in self.name or not self.name.isprintable():
+            raise ConfigError(f'the name of a peer is a cell of a table, got {self.name!r}')
         _ = self._words
 
     @property

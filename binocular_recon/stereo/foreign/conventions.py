@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.errors import ConfigError, shortened
 from binocular_recon.options import Options, option
@@ -58,28 +56,31 @@ class NetworkConfig(Options):
         """Check the numbers per channel."""
         super().__post_init__()
         _ = self.onnx_mean_by_channel
-        if (self.onnx_std_by_channel <= 0).any():
+        if min(self.onnx_std_by_channel) <= 0:
             raise ConfigError(f'onnx_std must be above 0, got {self.onnx_std!r}')
         if self.onnx_output_scale == 0:
             raise ConfigError('onnx_output_scale must not be 0: every disparity would be 0')
 
     @property
-    def onnx_mean_by_channel(self) -> npt.NDArray[np.float32]:
-        """The mean, (1,) or (3,) float32."""
+    def onnx_mean_by_channel(self) -> tuple[float, ...]:
+        """The mean: one number, or one per channel."""
         return _numbers('onnx_mean', self.onnx_mean, self.onnx_channels)
 
     @property
-    def onnx_std_by_channel(self) -> npt.NDArray[np.float32]:
-        """The standard deviation, (1,) or (3,) float32."""
+    def onnx_std_by_channel(self) -> tuple[float, ...]:
+        """The standard deviation: one number, or one per channel."""
         return _numbers('onnx_std', self.onnx_std, self.onnx_channels)
 
 
-def _numbers(name: str, text: str, channels: str) -> npt.NDArray[np.float32]:
+def _numbers(name: str, text: str, channels: str) -> tuple[float, ...]:
     try:
-        values = np.array([float(word) for word in text.split(',')], np.float32)
+        values = tuple(float(word) for word in text.split(','))
     except ValueError:
-        values = np.array([np.nan], np.float32)
-    if not np.isfinite(values).all() or values.size not in (1, 1 if channels == 'grey' else 3):
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)) or len(values) not in (
+        1,
+        1 if channels == 'grey' else 3,
+    ):
         wanted = 'a number' if channels == 'grey' else 'a number, or three with commas'
         raise ConfigError(f'{name} must be {wanted}, got {shortened(text)}')
     return values

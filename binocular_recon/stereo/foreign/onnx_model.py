@@ -187,8 +187,11 @@ def _arranged(image: Image, config: NetworkConfig) -> Image:
         values = values[..., None]
     else:
         values = image[..., ::-1] if config.onnx_channels == 'rgb' else image
-    scale, mean, std = config.onnx_scale, config.onnx_mean_by_channel, config.onnx_std_by_channel
-    values = ((values * np.float32(scale) - mean) / std).astype(np.float32)
+    mean, std = (
+        np.array(numbers, np.float32)
+        for numbers in (config.onnx_mean_by_channel, config.onnx_std_by_channel)
+    )
+    values = ((values * np.float32(config.onnx_scale) - mean) / std).astype(np.float32)
     return (values if config.onnx_layout == 'nhwc' else values.transpose(2, 0, 1))[None]
 
 

@@ -136,6 +136,7 @@ def test_a_program_that_takes_too_long_is_stopped(pair: SyntheticPair) -> None:
         ('matcher', 'a peer is NAME=COMMAND'),
         ('=matcher', 'a peer is NAME=COMMAND'),
         ('x= ', 'a peer is NAME=COMMAND'),
+        ('a|b=true', r"a cell of a table, got 'a\|b'"),
         ("x=sh -c 'open", 'No closing quotation'),
         ('x=matcher {left} {output}', r'lacks \{right\}; name all of'),
     ],
