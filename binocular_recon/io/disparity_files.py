@@ -14,6 +14,9 @@ from binocular_recon.io.disparity_png import disparity_from_steps, read_disparit
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
 
+# How npy files and archives of them begin.
+_NPY, _ZIP = b'\x93NUMPY', b'PK'
+
 
 def read_disparity_file(path: Path) -> FloatImage:
     """Read a disparity map in the format of its ending.
@@ -58,15 +61,21 @@ def _read_tiff(path: Path) -> FloatImage:
 
 
 def _read_npy(path: Path) -> FloatImage:
-    try:  # mapped: a header may promise any size
+    try:
+        with path.open('rb') as file:
+            magic = file.read(len(_NPY))
+        if magic.startswith(_ZIP):
+            raise FileError(f'{path} holds several arrays (npz); save the disparity alone as npy')
+        if magic != _NPY:  # not even a pickle, which numpy would look for
+            raise FileError(f'{path} is not an npy file')
+        # mapped: a header may promise any size
         values = np.load(path, mmap_mode='r', allow_pickle=False)
+    except FileError:
+        raise
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror}; give an npy file') from error
-    except (ValueError, EOFError, SyntaxError) as error:
+    except Exception as error:  # whatever the parser of its header meets
         raise FileError(f'{path} is not an npy file of numbers: {shortened(error)}') from error
-    if not isinstance(values, np.ndarray):  # an archive of several
-        values.close()
-        raise FileError(f'{path} holds several arrays (npz); save the disparity alone as npy')
     image = values.reshape([length for length in values.shape if length != 1])
     if image.ndim != 2 or image.dtype.kind not in 'fiu':
         raise FileError(

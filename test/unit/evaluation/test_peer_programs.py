@@ -70,7 +70,7 @@ def test_files_that_are_no_disparity_map_are_refused(tmp_path: Path) -> None:
         'objects.npy': 'is not an npy file of numbers',
         'cube.npy': r'numbers of shape \(rows, columns\) are needed, .* \(2, 3, 4\)',
         'several.npy': r'several arrays \(npz\)',
-        'text.npy': 'is not an npy file of numbers',
+        'text.npy': 'text.npy is not an npy file',
         'short.npy': 'is not an npy file of numbers',
         'absent.npy': 'cannot be read: No such file',
         'map.exr': "'.exr' is not a format of disparity maps",
