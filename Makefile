@@ -114,9 +114,9 @@ evaluate: ## accuracy on scenes with ground truth against OpenCV's matchers; SCE
 	@$(INSTALL) .venv-contrib contrib
 	@.venv-contrib/bin/python -m binocular_recon evaluate $(SCENES) --output out
 
-benchmark: ## speed of each stage against its peers
+benchmark: ## speed of each stage against its peers, on the scenes of SCENES=folder too, if it exists
 	@$(INSTALL) .venv-contrib contrib
-	@.venv-contrib/bin/python -m binocular_recon benchmark --output out
+	@.venv-contrib/bin/python -m binocular_recon benchmark $(if $(wildcard $(SCENES)),--scenes $(SCENES)) --output out
 
 docs: nodes-page site ## docs/nodes.md from what the nodes declare, and the site in docs/_build/html
 

@@ -2,8 +2,9 @@
 """Options of the chain: the one place for their defaults, units, ranges and descriptions.
 
 The nodes' ROS parameters, the command line's options and the tables of the documentation are made
-from these fields; `inputs.options` holds those of the input, `cloud_config` those of the points.
-Names shared with image_pipeline have the same meaning there.
+from these fields; `inputs.options` holds those of the input, `cloud_config` those of the points,
+`stereo.foreign.conventions` those of networks. Names shared with image_pipeline have the same
+meaning there.
 """
 
 from __future__ import annotations
@@ -16,17 +17,20 @@ from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.options import Options, OptionValue, option
+from binocular_recon.stereo.foreign.conventions import NetworkConfig
 
 # Values of the option `matcher`: the built-in ones, and those that `register_matcher` adds.
-MATCHER_NAMES = ['ncc']
+MATCHER_NAMES = ['ncc', 'onnx']
 
 
 @dataclass(frozen=True)
-class MatchConfig(Options):
-    """Options of matching (eq. 10 and the checks after it)."""
+class CorrelationConfig(Options):
+    """Options of the matcher, its search range and the built-in one (eq. 10 and its checks)."""
 
     matcher: str = option(
-        'ncc', 'Matching algorithm; programs can register others', choices=MATCHER_NAMES
+        'ncc',
+        'Matching algorithm; onnx: the network onnx_model; programs can register others',
+        choices=MATCHER_NAMES,
     )
 
     min_disparity: int = option(
@@ -133,6 +137,17 @@ class MatchConfig(Options):
                 ' search_range.choose_range first'
             )
         return float(self.min_disparity), float(self.min_disparity + self.disparity_range - 1)
+
+
+@dataclass(frozen=True)
+class MatchConfig(NetworkConfig, CorrelationConfig):
+    """Options of matching, by correlation or by a network."""
+
+    def __post_init__(self) -> None:
+        """Check that a network is named where one is to match."""
+        super().__post_init__()
+        if self.matcher == 'onnx' and not self.onnx_model:
+            raise ConfigError('matcher onnx needs onnx_model, the file of the network')
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,14 @@ from binocular_recon._jit import thread_count
 from binocular_recon.errors import DependencyError, shortened
 
 # The extra that installs each package.
-EXTRAS = {'av': 'video', 'laspy': 'survey', 'lazrs': 'survey', 'pyproj': 'survey', 'pye57': 'e57'}
+EXTRAS = {
+    'av': 'video',
+    'laspy': 'survey',
+    'lazrs': 'survey',
+    'onnxruntime': 'onnx',
+    'pye57': 'e57',
+    'pyproj': 'survey',
+}
 
 
 def peak_bytes() -> int | None:

@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -120,3 +121,16 @@ def _ros_log_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
 def shared_data() -> Path:
     """Folder of the real scenes that the repository does not hold; without it not selected."""
     return SHARED_DATA
+
+
+@pytest.fixture
+def built_in_matchers() -> Iterator[None]:
+    """Forget the matchers that a test registers."""
+    from binocular_recon.config import MATCHER_NAMES
+    from binocular_recon.stereo.matching import registry
+
+    names = list(MATCHER_NAMES)
+    yield
+    for name in set(MATCHER_NAMES) - set(names):
+        MATCHER_NAMES.remove(name)
+        registry._MATCHERS.pop(name, None)

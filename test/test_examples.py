@@ -32,6 +32,7 @@ LANGUAGES = {'sh', 'python', 'yaml', 'text'}
 ELSEWHERE = {
     '. /opt/ros/': 'needs a ROS installed by apt',
     '. install/setup.sh': 'needs a colcon workspace',
+    'pip install': 'needs the network; test_package reads the extras',
     'sudo apt install': 'changes the machine',
     'cd ~/ros2_ws': 'needs a colcon workspace',
     'git clone': 'needs the network',
@@ -122,6 +123,7 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @of('python')
+@pytest.mark.usefixtures('built_in_matchers')
 def test_python_examples_run(
     block: Block, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

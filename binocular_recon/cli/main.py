@@ -45,6 +45,10 @@ COMMANDS = {
         'tie a reconstruction to control points of the site, or level it',
     ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
+    'filter': (
+        'clouds',
+        "filter and complete another program's disparities, with standard deviations",
+    ),
     'play': ('clouds', 'publish a bag on ROS 2 topics'),
     'calibrate': ('rigs', 'calibrate a stereo rig from images of rods or points of a flat target'),
     'rods-plan': ('rigs', 'draw the rods of rods.yaml to scale, to make them and put them up'),
@@ -59,7 +63,7 @@ COMMANDS = {
     'paper': ('quality', 'repeat the paper on simulated sites: its Tables 1, 2 and 3 beside ours'),
     'evaluate': (
         'quality',
-        "measure accuracy on scenes with ground truth, against OpenCV's matchers",
+        'measure accuracy on scenes with ground truth, against other matchers',
     ),
     'warm-up': ('quality', 'compile and keep the kernels, so that the first start is quick'),
     'benchmark': ('quality', 'measure speed and memory of every stage, against its peers'),

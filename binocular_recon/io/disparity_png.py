@@ -31,6 +31,11 @@ def read_disparity_png(path: Path) -> npt.NDArray[np.float32]:
     steps = read_image_file(path)
     if steps.dtype != np.uint16 or steps.ndim != 2:
         raise FileError(f'{path} is not a disparity map: 16-bit grey is needed, got {steps.dtype}')
+    return disparity_from_steps(steps)
+
+
+def disparity_from_steps(steps: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return (H, W) float32 disparities, px, NaN = none, of 1/256 px, 0 = none."""
     return np.where(steps > 0, steps / np.float32(_STEPS_PER_PX), np.float32(np.nan))
 
 

@@ -3,11 +3,11 @@
 
 `pipeline` runs the chain, one line per step of the paper. Each stage has a subpackage or a module:
 `rectification` maps raw images onto common rows, `search_range` finds the disparities to search,
-`matching` measures them, `holes` fills pixels without a match, `filtering` denoises,
-`triangulation` computes metric points, `point_covariance` their covariance, also between points,
-from that of the calibration; `thinning` makes clouds smaller; `validity` tells measured from
-filled pixels, and `confidence` converts the standard deviation of a match to a number in [0, 1]
-and back. Exports the chain and its stages.
+`matching` measures them, `foreign` checks those of others, `holes` fills pixels without a match,
+`filtering` denoises, `triangulation` computes metric points, `point_covariance` their covariance,
+also between points, from that of the calibration; `thinning` makes clouds smaller; `validity`
+tells measured from filled pixels, and `confidence` converts the standard deviation of a match to a
+number in [0, 1] and back. Exports the chain and its stages.
 """
 
 from typing import TYPE_CHECKING

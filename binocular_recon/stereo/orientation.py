@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+from binocular_recon.images import ByteImage, Image, to_bgr8
+from binocular_recon.inputs.levels import Levels
 
 Kind = TypeVar('Kind', bound=np.generic)
 Result = TypeVar('Result')
@@ -16,6 +20,19 @@ Result = TypeVar('Result')
 def turn(image: npt.NDArray[Kind], turns: int) -> npt.NDArray[Kind]:
     """Return an image turned by quarter turns, counter-clockwise; itself if ``turns`` is 0."""
     return image if turns == 0 else np.ascontiguousarray(np.rot90(image, turns))
+
+
+def turned_colours(
+    pair: tuple[Image, Image], levels: Sequence[Levels], turns: int
+) -> Callable[[], tuple[ByteImage, ByteImage]]:
+    """Return a function that returns both images of a pair as (H, W, 3) BGR, turned.
+
+    Most matchers do without: it is not made before it is asked for.
+    """
+    return lambda: (
+        turn(to_bgr8(pair[0], levels[0]), turns),
+        turn(to_bgr8(pair[1], levels[1]), turns),
+    )
 
 
 def turn_back(result: Result, turns: int) -> Result:

@@ -19,7 +19,7 @@ from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
 from binocular_recon.stereo.matching import Match, match
-from binocular_recon.stereo.orientation import turn, turn_back
+from binocular_recon.stereo.orientation import turn, turn_back, turned_colours
 from binocular_recon.stereo.rectification import Rectifier, check_size
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange, choose_range
 from binocular_recon.stereo.thinning import PointSet, thin
@@ -275,21 +275,21 @@ def estimate_disparity(
 
     """
     found = (levels or LevelTracker(config.images)).update(left, right)
-    left_grey, right_grey = to_grey(left, found[0]), to_grey(right, found[1])
-    left_grey, right_grey = turn(left_grey, turns), turn(right_grey, turns)
+    left_grey = turn(to_grey(left, found[0]), turns)
+    right_grey = turn(to_grey(right, found[1]), turns)
     mark_empty(left_grey)
     mark_empty(right_grey)
     chosen = choose_range(left_grey, right_grey, config.match, infinity_px, check=check_range)
     searched = chosen.search.applied_to(config.match)
-    matched = match(left_grey, right_grey, searched)  # eq. 10
+    colours = turned_colours((left, right), found, turns)
+    matched = match(left_grey, right_grey, searched, colours)  # eq. 10
     examined = check or (PairCheck() if check_range else None)
     findings = NOTHING
     if examined:
         findings = examined.update(left_grey, right_grey, matched, config.match, infinity_px)
     if findings.cause and not matched.matched_share:
         raise ImageError(f'no pixel could be matched; {findings.cause}')
-    wls = wls or DisparityFilter(config.filter)
-    filtered = wls(  # eq. 11-15
+    filtered = (wls or DisparityFilter(config.filter))(  # eq. 11-15
         matched.disparity_px,
         matched.confidence,
         left_grey,

@@ -22,6 +22,7 @@ from binocular_recon.evaluation.accuracy.scenes import read_scene
 from binocular_recon.io.bags.reader import Bag, decode
 from binocular_recon.io.bags.stereo_topics import find_stereo_topics
 from binocular_recon.io.calibration_yaml import read_rig
+from binocular_recon.io.disparity_files import read_disparity_file
 from binocular_recon.io.exports.placement import read_placement
 from binocular_recon.io.exports.point_table import PointTable
 from binocular_recon.io.image_files import read_image_file
@@ -149,6 +150,7 @@ FORMS: dict[str, Reader] = {
     'cameramodel': lambda data, folder: read_rig(_written(data, folder / 'a.cameramodel')),
     'mat': lambda data, folder: read_rig(_written(data, folder / 'a.mat')),
     'pfm': lambda data, folder: read_pfm(_written(data, folder / 'a.pfm')),
+    'npy': lambda data, folder: read_disparity_file(_written(data, folder / 'a.npy')),
     'points_csv': lambda data, folder: read_points(_written(data, folder / 'a.csv')),
     'arguments': _arguments,
     'camera_info': _camera_info,

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.io.bags.writer import BagWriter, write_pair
@@ -127,7 +128,7 @@ def test_summary_says_what_was_done(wall: tuple[Path, Path]) -> None:
     assert summary['finished'] is True
     assert {'binocular_recon', 'python', 'numpy', 'opencv', 'rosbags'} <= set(summary['versions'])
     names = {path.name for path in output.iterdir()}
-    endings = ('.ply', '_disparity.pfm', '_disparity.png', '_validity.png', '_cloud.png')
+    endings = {one.ending for one in FRAME_FORMATS.values() if not one.on_request} | {'_cloud.png'}
     assert names == {'summary.json'} | {f'00000{i}{ending}' for i in (0, 1) for ending in endings}
     heat = read_image_file(output / '000000_disparity.png')
     assert heat.shape[0] == HEIGHT and heat.shape[1] > WIDTH  # with a colour bar

@@ -14,7 +14,7 @@ import pytest
 
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
-from binocular_recon.evaluation.accuracy.metrics import visible_from_truth
+from binocular_recon.evaluation.accuracy.visibility import visible_from_truth
 from binocular_recon.images import FloatImage
 from binocular_recon.io.bags.reader import Bag
 from binocular_recon.io.disparity_png import read_disparity_png

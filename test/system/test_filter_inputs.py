@@ -234,6 +234,35 @@ BAD: dict[str, tuple[str, Callable[[int], Any], str]] = {
 }
 
 
+def test_a_confidence_of_another_matcher_is_its_sigma(graph: Graph, matcher: Matcher) -> None:
+    """Disparities with a standard deviation of 0.1 px on the left and 0.5 px on the right."""
+    sigma_px = np.full(LEFT.shape, 0.1, np.float32)
+    sigma_px[:, LEFT.shape[1] // 2 :] = 0.5
+    known = np.isfinite(MATCH.disparity_px)
+    confidence = np.where(known, 1 / (1 + (sigma_px / 0.25) ** 2), 0).astype(np.float32)
+    expected = filter_disparity(
+        MATCH.disparity_px, confidence, grey(LEFT), FilterConfig(), limits_px=CONFIG.limits_px
+    )
+    with graph.listening(WLS, ('/rig/points2', PointCloud2)) as (wls, clouds):
+        matcher.wait_for_filter()
+        graph.publisher('/rig/confidence', Image)
+        graph.wait_for_subscriber('/rig/confidence')
+        sent = messages(190, LEFT, RECTIFY, disparity())
+        matcher.send(**sent, confidence=image_message(confidence, header(190), '32FC1'))
+        read, cloud = read_disparity(wls.wait()[0], RECTIFY.rig), clouds.wait()[0]
+    np.testing.assert_allclose(read.disparity_px, expected.disparity_px, atol=1e-3)
+    points = triangulate(
+        expected.disparity_px, expected.sigma_px, expected.validity, RECTIFY.rig, CloudConfig()
+    )
+    at = {field.name: field.offset // 4 for field in cloud.fields}
+    values = np.frombuffer(cloud.data, np.float32).reshape(*LEFT.shape, -1)
+    found = values[..., at['sigma_z']]
+    np.testing.assert_allclose(found, points.sigma_z_m, rtol=1e-3)
+    # sigma_z = Z^2 sigma / (f B), and the scatter of the disparities besides
+    sure, unsure = (found[:, half][known[:, half]] for half in (np.s_[:70], np.s_[90:]))
+    assert 2 < np.nanmedian(unsure) / np.nanmedian(sure) < 6
+
+
 def test_bad_input_is_rejected_and_good_used(graph: Graph, matcher: Matcher) -> None:
     """With confidence and reasons from now on, so only the last test comes after it."""
     expected = filter_disparity(

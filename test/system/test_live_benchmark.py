@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from binocular_recon.evaluation.speed.content import Size
 from binocular_recon.evaluation.speed.live import OFFLINE, LiveOptions, measure
 from binocular_recon.evaluation.speed.live_processes import LiveError, running
-from binocular_recon.evaluation.speed.stages import Size
 from test.system.graph import wait_until
 
 pytestmark = pytest.mark.long

@@ -7,7 +7,9 @@ import argparse
 import functools
 import importlib.util
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.cli.options import NO_ROS, add_comparison_options, positive, ximgproc_note
@@ -17,10 +19,12 @@ from binocular_recon.evaluation.speed.benchmark import (
     SIZES,
     STAGES,
     Results,
+    Timing,
     benchmark,
     growth,
     step_count,
 )
+from binocular_recon.evaluation.speed.content import Content, Size, default_contents, scenes
 from binocular_recon.evaluation.speed.live import (
     OFFLINE,
     OUTPUTS,
@@ -28,7 +32,6 @@ from binocular_recon.evaluation.speed.live import (
     LiveResult,
     measure,
 )
-from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.evaluation.tables import markdown_table, to_plain
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import machine_facts
@@ -49,7 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=list(SIZES),
         metavar='WxHxD',
-        help=f'image sizes: width x height x disparities ({" ".join(map(str, SIZES))})',
+        help='sizes of the pair that ships: width x height x disparities'
+        f' ({" ".join(map(str, SIZES))})',
+    )
+    parser.add_argument(
+        '--scenes',
+        type=Path,
+        metavar='DIR',
+        help='also time match, filter and chain on each scene of a folder, as evaluate takes them',
     )
     live = parser.add_argument_group('running nodes')
     live.add_argument(
@@ -95,9 +105,12 @@ def run(args: argparse.Namespace) -> None:
     if args.live:
         _run_live(args, sizes)
         return
-    with ProgressBar(step_count(sizes, args.presets), 'steps') as bar:
-        results = benchmark(sizes, args.presets, args.repeat, bar.show)
-    tables = [*_stage_tables(results, sizes), *_other_tables(results, sizes)]
+    contents = default_contents(sizes)
+    if args.scenes:
+        contents = [*scenes(args.scenes), *contents]
+    with ProgressBar(step_count(contents, sizes, args.presets), 'steps') as bar:
+        results = benchmark(contents, sizes, args.presets, args.repeat, bar.show)
+    tables = [*_stage_tables(results), *_other_tables(results, contents, sizes)]
     notes = [] if peers.has_ximgproc() else [NO_XIMGPROC]
     print('\n\n'.join([*tables, *notes]))
     facts = {'machine': machine_facts(), 'repeat': args.repeat, 'presets': args.presets}
@@ -158,30 +171,62 @@ def _live_tables(results: Sequence[LiveResult]) -> list[str]:
     return tables
 
 
-def _stage_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
+def _stage_tables(results: Results) -> list[str]:
     tables = []
     for stage in STAGES:
         timings = [timing for timing in results.timings if timing.stage == stage]
-        header = [stage]
-        for size in sizes:
-            header += [f'{size} ms', 'relative', *(['pairs/s'] if stage == 'chain' else [])]
-        rows = []
-        for name in dict.fromkeys(timing.name for timing in timings):
-            row = [name]
-            for timing in (t for t in timings if t.name == name):
-                row += [fixed(1000 * timing.seconds), fixed(timing.relative, 2)]
-                row += [fixed(1 / timing.seconds)] if stage == 'chain' else []
-            rows.append(row)
-        tables.append(markdown_table(header, rows))
+        tables.append(_stage_table(stage, timings))
+        if stage == 'chain':
+            rows = _by_content(timings, lambda one: fixed(1 / one.seconds))
+            tables.append(markdown_table(['chain, pairs per second', *_names(timings)], rows))
+        if stage == 'exact WLS':
+            presets = list(next(iter(results.iterations.values())))
+            counts = results.iterations.items()
+            rows = [[content, *(str(of[one]) for one in presets)] for content, of in counts]
+            tables.append(markdown_table(['exact WLS, iterations', *presets], rows))
     return tables
 
 
-def _other_tables(results: Results, sizes: Sequence[Size]) -> list[str]:
-    grown = growth(results.timings, sizes)
+def _stage_table(stage: str, timings: Sequence[Timing]) -> str:
+    """Return a row for each content: time of the reference, the others' relative to it."""
+    first, *others = _names(timings)
+    if math.isnan(timings[0].relative):  # without a reference
+        rows = _by_content(timings, lambda one: fixed(1000 * one.seconds))
+        return markdown_table([stage, *(f'{name} ms' for name in (first, *others))], rows)
+    rows = _by_content(
+        timings,
+        lambda one: fixed(1000 * one.seconds) if one.name == first else fixed(one.relative, 2),
+    )
+    means = []
+    for name in others:
+        real = [one.relative for one in timings if one.name == name and one.real]
+        means.append(fixed(sum(real) / len(real), 2) if real else '-')
+    if any(one.real for one in timings):
+        rows.append(['mean of real content', '', *means])
+    return markdown_table([stage, f'{first} ms', *others], rows)
+
+
+def _names(timings: Sequence[Timing]) -> list[str]:
+    return list(dict.fromkeys(timing.name for timing in timings))
+
+
+def _by_content(timings: Sequence[Timing], text: Callable[[Timing], str]) -> list[list[str]]:
+    contents = dict.fromkeys(timing.content for timing in timings)
+    return [[name, *(text(one) for one in timings if one.content == name)] for name in contents]
+
+
+def _other_tables(
+    results: Results, contents: Sequence[Content], sizes: Sequence[Size]
+) -> list[str]:
+    grown = growth(results.timings, contents)
+    by_content = zip(*grown.values(), strict=True)
     return [
         markdown_table(
-            ['match, ns per pixel and disparity', *map(str, sizes)],
-            [[name, *(fixed(value, 3) for value in values)] for name, values in grown.items()],
+            ['match, ns per pixel and disparity', *grown],
+            [
+                [str(content), *(fixed(value, 3) for value in values)]
+                for content, values in zip(contents, by_content, strict=True)
+            ],
         ),
         _direct_table(results),
         markdown_table(

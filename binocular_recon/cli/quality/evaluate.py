@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``evaluate``: accuracy on scenes with ground truth, against OpenCV's matchers."""
+"""``evaluate``: accuracy on scenes with ground truth, against OpenCV's and other matchers."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from binocular_recon.cli.options import (
     add_option_flags,
     given_options,
     names,
+    positive,
     ximgproc_note,
 )
 from binocular_recon.errors import ConfigError
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.accuracy import report, summary
+from binocular_recon.evaluation.accuracy import part_tables, report, summary
+from binocular_recon.evaluation.accuracy.external import TIMEOUT_S, external_peer
 from binocular_recon.evaluation.accuracy.methods import (
     Method,
+    PeerError,
     match_method,
     opencv_method,
     preset_method,
@@ -63,6 +66,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--scenes', type=names, metavar='NAME,...', help='scenes to evaluate (all)'
     )
     parser.add_argument('--no-peers', action='store_true', help="leave out OpenCV's matchers")
+    parser.add_argument(
+        '--peer',
+        action='append',
+        default=[],
+        metavar='NAME=COMMAND',
+        help='also evaluate another program, such as "SPS=./spsstereo {left} {right} {output}";'
+        ' {left} and {right} are PNG files, {range} is the number of disparities, {output} the'
+        ' disparity file to write: PFM, or with an ending such as {output}.png PNG of 16 bit, TIFF'
+        ' or npy; can be repeated',
+    )
+    parser.add_argument(
+        '--peer-timeout',
+        type=positive(float),
+        default=TIMEOUT_S,
+        metavar='S',
+        help='stop a run of another program after this time (%(default)g)',
+    )
     parser.add_argument(
         '--match-only', action='store_true', help='also evaluate the matches before the filter'
     )
@@ -141,8 +161,13 @@ def _evaluate(
     result = evaluate_scene(read_scene(folder), methods, args.repeat)
     for method, estimate in zip(methods, result.estimates, strict=True):
         disparity_px = estimate.disparity_px
-        if args.exposure:
-            evaluated.exposure.append(exposure_change(result.scene, method, disparity_px))
+        if args.exposure and method.name not in result.scores.failures:
+            try:
+                change = exposure_change(result.scene, method, disparity_px)
+            except PeerError as error:
+                result.scores.failures[f'{method.name}, right image darker'] = str(error)
+            else:
+                evaluated.exposure.append(change)
         if args.crop and method.ours:
             evaluated.crop += crop_changes(result.scene, method, disparity_px)
     evaluated.sections.append(report.scene_section(result))
@@ -165,7 +190,8 @@ def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) ->
         'failures': failures,
     }
     write_json(args.output / 'evaluation.json', to_plain(facts))
-    page = report.page('Evaluation', notes, tables, evaluated.sections)
+    ours = [score.method for score in evaluated.scenes[0].scores if score.ours]
+    page = report.page('Evaluation', notes, tables, evaluated.sections, ours)
     with complete_file(args.output / 'evaluation.html') as file:
         file.write(page.encode())
 
@@ -173,12 +199,17 @@ def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) ->
 def _methods(args: argparse.Namespace) -> list[Method]:
     overrides = given_options(args)
     methods = [] if args.no_peers else [opencv_method(peer) for peer in peers.opencv_matchers()]
+    methods += [external_peer(text, args.peer_timeout).method() for text in args.peer]
     for preset in args.presets:
         if args.match_only:
             methods.append(match_method(preset, **overrides))
         methods.append(preset_method(preset, **overrides))
     if not methods:
         raise ConfigError('nothing to evaluate: name a preset or omit --no-peers')
+    given = [method.name for method in methods]
+    for name in given:
+        if given.count(name) > 1:
+            raise ConfigError(f'two methods are called {name!r}; give each --peer its own name')
     return methods
 
 
@@ -189,6 +220,8 @@ def _tables(evaluated: Evaluated) -> list[str]:
         summary.overview(means),
         summary.visibility(means),
         summary.by_scene(scenes),
+        part_tables.part_table(scenes),
+        part_tables.class_table(scenes),
         summary.depth_by_band(scenes),
         summary.sigma_calibration(scenes),
         *summary.sigma_by_bin(scenes),
@@ -201,7 +234,8 @@ def _tables(evaluated: Evaluated) -> list[str]:
 def _notes(evaluated: Evaluated, scene_count: int) -> list[str]:
     scenes = evaluated.scenes
     notes = [HOW_MEASURED]
-    if not all(score.ours for score in scenes[0].scores):
+    opencv = {matcher.name for matcher in peers.opencv_matchers()}
+    if opencv & {score.method for score in scenes[0].scores}:
         notes += [PADDED] if peers.has_ximgproc() else [PADDED, NO_XIMGPROC]
     derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
     unknown = [scene.scene for scene in scenes if not scene.visible_source]
@@ -215,4 +249,9 @@ def _notes(evaluated: Evaluated, scene_count: int) -> list[str]:
     ):
         if scene_names:
             notes.append(text.format(', '.join(scene_names)))
+    notes += [
+        f'{name} gave no result for {scene.scene}: {reason}.'
+        for scene in scenes
+        for name, reason in scene.failures.items()
+    ]
     return notes

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of disparities on scenes with ground truth.
 
-`scenes` reads them, `methods` are what is compared, `scoring` runs and scores them by `metrics`,
-`robustness` changes exposure and crop, `summary` makes the tables and `report` the page.
+`scenes` reads them (`visibility` finds what both cameras see), `methods` are what is compared,
+`external` makes one of another program. `scoring` runs and scores them by `metrics`, `parts`
+(measured and filled pixels apart) and `error_classes`; `robustness` changes exposure and crop;
+`summary` and `part_tables` make the tables and `report` the page.
 """
 
 from typing import TYPE_CHECKING
@@ -10,9 +12,11 @@ from typing import TYPE_CHECKING
 from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from binocular_recon.evaluation.accuracy.external import ExternalPeer, external_peer
     from binocular_recon.evaluation.accuracy.methods import (
         Method,
         MethodResult,
+        PeerError,
         opencv_method,
         preset_method,
     )
@@ -27,13 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     'Accuracy',
+    'ExternalPeer',
     'Method',
     'MethodResult',
+    'PeerError',
     'SceneResult',
     'TruthScene',
     'accuracy',
     'depth_errors',
     'evaluate_scene',
+    'external_peer',
     'find_scenes',
     'normalised_error_rms',
     'opencv_method',

@@ -7,14 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from binocular_recon.config import ChainConfig
+from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.accuracy.scenes import TruthScene
-from binocular_recon.images import FloatImage, Image, to_grey
+from binocular_recon.images import FloatImage, Image, Mask, to_bgr8, to_grey
 from binocular_recon.options import OptionValue
 from binocular_recon.stereo.confidence import sigma_from_confidence
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.pipeline import estimate_disparity
+from binocular_recon.stereo.validity import Validity
+
+
+class PeerError(BinocularReconError):
+    """Another program gave no disparity map of a pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +33,14 @@ class MethodResult:
         Raw disparity; NaN = unfilled.
     sigma_px : (H, W) float32 or None
         One standard deviation.
+    measured : (H, W) bool or None
+        Pixels that were measured, not filled; None if the method does not tell.
 
     """
 
     disparity_px: FloatImage
     sigma_px: FloatImage | None = None
+    measured: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,8 @@ def preset_method(preset: str, **overrides: OptionValue) -> Method:
 
         def run() -> MethodResult:
             filtered = estimate_disparity(left, right, config, wls, check_range=False).filtered
-            return MethodResult(filtered.disparity_px, filtered.sigma_px)
+            measured = (filtered.validity & Validity.MEASURED) > 0
+            return MethodResult(filtered.disparity_px, filtered.sigma_px, measured)
 
         return run
 
@@ -91,7 +101,8 @@ def match_method(preset: str, **overrides: OptionValue) -> Method:
         config = _config(preset, overrides, disparity_range)
 
         def run() -> MethodResult:
-            matched = match(to_grey(left), to_grey(right), config.match)
+            greys = to_grey(left), to_grey(right)
+            matched = match(*greys, config.match, lambda: (to_bgr8(left), to_bgr8(right)))
             return MethodResult(matched.disparity_px, sigma_from_confidence(matched.confidence))
 
         return run

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import cv2
 import numpy as np
@@ -91,7 +91,13 @@ def scene_section(result: SceneResult) -> str:
     return page_parts.section(scene.name, text, f'<div class="small">{"".join(figures)}</div>')
 
 
-def page(title: str, notes: Sequence[str], tables: Sequence[str], sections: Sequence[str]) -> str:
+def page(
+    title: str,
+    notes: Sequence[str],
+    tables: Sequence[str],
+    sections: Sequence[str],
+    ours: Collection[str],
+) -> str:
     """Return the whole page.
 
     Parameters
@@ -101,13 +107,15 @@ def page(title: str, notes: Sequence[str], tables: Sequence[str], sections: Sequ
     notes : sequence of str
         Paragraphs of plain text under it.
     tables : sequence of str
-        Markdown tables; rows of our presets are those whose first cell starts in lower case.
+        Markdown tables.
     sections : sequence of str
         HTML of the scenes.
+    ours : collection of str
+        First cells of the rows of our methods.
 
     """
     text = '</p><p>'.join(html.escape(note) for note in notes)
-    results = page_parts.section('Results', text, *map(_html_table, tables))
+    results = page_parts.section('Results', text, *(_html_table(one, ours) for one in tables))
     return page_parts.page(title, [results, _key_to_errors(), *sections])
 
 
@@ -130,14 +138,14 @@ def _nearest_known(truth_px: FloatImage) -> npt.NDArray[np.intp]:
     return np.where(distance <= reach, known_index[labels], index)
 
 
-def _html_table(markdown: str) -> str:
+def _html_table(markdown: str, ours: Collection[str]) -> str:
     header, _, *rows = (
         [cell.strip() for cell in re.split(r'(?<!\\)\|', line)[1:-1]]
         for line in markdown.splitlines()
     )
-    ours = [number for number, row in enumerate(rows) if row[0][:1].islower()]
+    marked = [number for number, row in enumerate(rows) if row[0] in ours]
     cells = [[html.escape(cell) for cell in row] for row in rows]
-    return f'<div class="scroll">{page_parts.table(header, cells, marked=ours)}</div>'
+    return f'<div class="scroll">{page_parts.table(header, cells, marked=marked)}</div>'
 
 
 def _key_to_errors() -> str:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes with ground truth: folders of left.png, right.png, disparity.pfm and scene.yaml."""
+"""Scenes with ground truth: folders of left.png, right.png, disparity.pfm and scene.yaml.
+
+``visible.png`` (255 = seen by both cameras) or ``disparity_right.pfm`` (ground truth of the right
+image's pixels) may say what is occluded.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.errors import FileError, ImageError
-from binocular_recon.evaluation.accuracy.metrics import visible_from_truth
+from binocular_recon.evaluation.accuracy.visibility import visible_from_both, visible_from_truth
 from binocular_recon.images import FloatImage, Image, Mask
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
@@ -37,7 +41,8 @@ class TruthScene:
     visible : (H, W) bool or None
         Pixels that both cameras see; None if unknown.
     visible_source : str
-        ``visible.png``, ``ground truth`` (derived, see `visible_from_truth`) or empty.
+        ``visible.png``, ``both ground truths`` (``disparity_right.pfm`` agrees), ``ground truth``
+        (derived, see `visible_from_truth`) or empty.
     max_disparity_px : int
         Number of disparities to search, from 0.
     focal_px, baseline_m : float or None
@@ -164,6 +169,11 @@ def _visibility(folder: Path, truth_px: FloatImage) -> tuple[Mask | None, str]:
     if path.is_file():
         image = read_image_file(path)
         return (image if image.ndim == 2 else image[..., 0]) == 255, 'visible.png'
+    path = folder / 'disparity_right.pfm'
+    if path.is_file():
+        right_px = read_pfm(path)
+        _check_size(folder, path.name, right_px, truth_px.shape)
+        return visible_from_both(truth_px, right_px), 'both ground truths'
     if 100.0 * np.isfinite(truth_px).mean() >= _DENSE_PERCENT:
         return visible_from_truth(truth_px), 'ground truth'
     return None, ''

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon.errors import BinocularReconError, FileError, ImageError
-from binocular_recon.evaluation.accuracy.methods import Method, MethodResult
+from binocular_recon.evaluation.accuracy.error_classes import ClassErrors, class_errors, classify
+from binocular_recon.evaluation.accuracy.methods import Method, MethodResult, PeerError
 from binocular_recon.evaluation.accuracy.metrics import (
     Accuracy,
     DepthError,
@@ -22,6 +26,7 @@ from binocular_recon.evaluation.accuracy.metrics import (
     normalised_error_rms,
     sigma_bins,
 )
+from binocular_recon.evaluation.accuracy.parts import Part, parts
 from binocular_recon.evaluation.accuracy.scenes import TruthScene
 from binocular_recon.evaluation.timing import interleaved
 
@@ -50,6 +55,10 @@ class Score:
         RMS of error / sigma over correctly matched visible pixels; None without sigma.
     sigma : tuple of SigmaBin
         Predicted against measured error over the visible pixels.
+    parts : dict of str to Part
+        All pixels, and measured and filled ones where the method tells them apart.
+    classes : tuple of ClassErrors
+        Errors by what makes a pixel hard; empty where visibility is unknown.
 
     """
 
@@ -62,6 +71,8 @@ class Score:
     depth: tuple[DepthError, ...]
     sigma_rms: float | None
     sigma: tuple[SigmaBin, ...]
+    parts: dict[str, Part]
+    classes: tuple[ClassErrors, ...]
 
 
 @dataclass(frozen=True)
@@ -79,9 +90,11 @@ class SceneScores:
     truth_percent : float
         Share of pixels with ground truth.
     visible_source : str
-        Where visibility is known from: ``visible.png``, ``ground truth`` or empty.
+        Where visibility is known from: `TruthScene.visible_source`.
     scores : tuple of Score
         One for each method, in the methods' order.
+    failures : dict of str to str
+        Peers that gave no result, by name, and why; their scores have no pixel.
 
     """
 
@@ -93,6 +106,7 @@ class SceneScores:
     truth_percent: float
     visible_source: str
     scores: tuple[Score, ...]
+    failures: dict[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,24 +170,40 @@ def evaluate_scene(scene: TruthScene, methods: list[Method], repeat: int = 3) ->
     Raises
     ------
     ImageError
-        If a method refuses the scene.
+        If a method refuses the scene; other programs that fail are among the `failures`.
 
     """
     _compile(scene, methods)
     estimates: dict[str, MethodResult] = {}
+    failures: dict[str, str] = {}
+    nothing = MethodResult(np.full_like(scene.truth_px, np.nan))
 
     def keeping(method: Method) -> Callable[[], None]:
         run = method.prepare(scene.left, scene.right, scene.max_disparity_px)
 
         def keep() -> None:
+            if method.name in failures:
+                return
             with _naming(scene, method):
-                estimates[method.name] = run()
+                try:
+                    estimates[method.name] = run()
+                except PeerError as error:
+                    failures[method.name] = str(error)
+                    estimates[method.name] = nothing
 
         return keep
 
     seconds = interleaved({m.name: keeping(m) for m in methods}, repeat, warm_up=0)
     height, width = scene.truth_px.shape
-    scores = SceneScores(
+    classes = classify(scene)
+    unscored = dataclasses.replace(scene, truth_px=nothing.disparity_px)
+    scores = tuple(
+        score(unscored, m, nothing, math.nan, classes)
+        if m.name in failures
+        else score(scene, m, estimates[m.name], seconds[m.name], classes)
+        for m in methods
+    )
+    figures = SceneScores(
         scene.name,
         scene.source,
         width,
@@ -181,13 +211,20 @@ def evaluate_scene(scene: TruthScene, methods: list[Method], repeat: int = 3) ->
         scene.max_disparity_px,
         100.0 * float(np.isfinite(scene.truth_px).mean()),
         scene.visible_source,
-        tuple(score(scene, m, estimates[m.name], seconds[m.name]) for m in methods),
+        scores,
+        failures,
     )
-    return SceneResult(scene, scores, tuple(estimates[m.name] for m in methods))
+    return SceneResult(scene, figures, tuple(estimates[m.name] for m in methods))
 
 
-def score(scene: TruthScene, method: Method, estimate: MethodResult, seconds: float) -> Score:
-    """Measure one estimate against a scene's ground truth."""
+def score(
+    scene: TruthScene,
+    method: Method,
+    estimate: MethodResult,
+    seconds: float,
+    classes: npt.NDArray[np.int8] | None,
+) -> Score:
+    """Measure one estimate against a scene's ground truth; ``classes`` are those of `classify`."""
     disparity_px, truth_px, visible = estimate.disparity_px, scene.truth_px, scene.visible
     depth: list[DepthError] = []
     if scene.focal_baseline is not None:
@@ -210,6 +247,8 @@ def score(scene: TruthScene, method: Method, estimate: MethodResult, seconds: fl
         depth=tuple(depth),
         sigma_rms=sigma_rms,
         sigma=tuple(sigma),
+        parts=parts(disparity_px, estimate.sigma_px, estimate.measured, truth_px),
+        classes=() if classes is None else class_errors(classes, disparity_px, truth_px),
     )
 
 

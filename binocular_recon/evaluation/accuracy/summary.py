@@ -38,6 +38,8 @@ class Mean:
         Mean time of a scene.
     relative_time : float
         Mean of the time's ratio to the reference's; NaN without a reference.
+    scenes : int
+        Scenes that it gave a result for; the means are over these.
 
     """
 
@@ -46,6 +48,7 @@ class Mean:
     regions: dict[str, Accuracy]
     seconds: float
     relative_time: float
+    scenes: int
 
 
 def mean_over_scenes(scenes: Sequence[SceneScores]) -> list[Mean]:
@@ -54,20 +57,23 @@ def mean_over_scenes(scenes: Sequence[SceneScores]) -> list[Mean]:
     reference = next((names.index(name) for name in TIME_REFERENCES if name in names), None)
     means = []
     for i, name in enumerate(names):
-        scores = [scene.scores[i] for scene in scenes]
+        finished = [scene for scene in scenes if name not in scene.failures]
+        scores = [scene.scores[i] for scene in finished]
         ratios = [
             scene.scores[i].seconds / scene.scores[reference].seconds
-            for scene in scenes
+            for scene in finished
             if reference is not None
         ]
         regions = {region: _mean_accuracy(scores, region) for region in REGIONS}
+        regions['everywhere'] = regions['everywhere'] or scenes[0].scores[i].everywhere
         means.append(
             Mean(
                 name,
-                scores[0].ours,
+                scenes[0].scores[i].ours,
                 {region: value for region, value in regions.items() if value is not None},
-                float(np.mean([score.seconds for score in scores])),
+                float(np.mean([score.seconds for score in scores])) if scores else math.nan,
                 float(np.mean(ratios)) if ratios else math.nan,
+                len(finished),
             )
         )
     return means
@@ -91,12 +97,13 @@ def overview(means: Sequence[Mean]) -> str:
     """Return the main table: every method over all pixels with ground truth."""
     header = ['mean over scenes, all pixels', 'bad-1.0 %', 'bad-2.0 %', 'bad-3.0 %']
     header += ['mean error px', 'of filled pixels px', 'density %', 'time ms', 'relative']
-    rows = []
+    most, rows = max(mean.scenes for mean in means), []
     for mean in means:
         everywhere = mean.regions['everywhere']
+        short = '' if mean.scenes == most else f' ({mean.scenes} of {most} scenes)'
         rows.append(
             [
-                mean.method,
+                mean.method + short,
                 *(fixed(bad) for bad in everywhere.bad_percent),
                 fixed(everywhere.mean_error_px, 2),
                 fixed(everywhere.measured_error_px, 2),
@@ -120,7 +127,10 @@ def visibility(means: Sequence[Mean]) -> str:
     for mean in means:
         row = [mean.method]
         for region in regions:
-            value = mean.regions[region]
+            value = mean.regions.get(region)
+            if value is None:
+                row += ['-'] * 4
+                continue
             row += [fixed(value.bad_percent[0]), fixed(value.bad_percent[1])]
             row += [fixed(value.mean_error_px, 2), fixed(value.density_percent)]
         rows.append(row)

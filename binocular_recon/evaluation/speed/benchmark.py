@@ -1,29 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time every stage and the chain at several sizes, next to its peers in the same run."""
+"""Time every stage and the chain on several contents, next to its peers in the same run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
 from binocular_recon.evaluation.speed import direct_solver as direct
 from binocular_recon.evaluation.speed import probe, stages
-from binocular_recon.evaluation.speed.stages import Bench, Size
+from binocular_recon.evaluation.speed.content import Content, Size, synthetic
+from binocular_recon.evaluation.speed.stages import Bench
 from binocular_recon.evaluation.timing import interleaved
 
 SIZES = (Size(640, 480, 64), Size(1280, 720, 128), Size(1920, 1200, 256))
 
-# Title of each stage's table, and its contestants.
+# Title of each stage's table, and its contestants; on what the pair shows, only some depend.
 STAGES: dict[str, Callable[[Bench], stages.Contestants]] = {
     'match': stages.matching,
     'exact WLS': stages.filtering,
+    'chain': stages.chain,
     'rectify': stages.rectifying,
     'cloud': stages.triangulating,
-    'chain': stages.chain,
 }
+BY_CONTENT = ('match', 'exact WLS', 'chain')
 
 # Rounds of one stage at one size end after this time, so that a full run takes minutes.
 _STAGE_LIMIT_S = 8.0
@@ -31,12 +33,14 @@ _STAGE_LIMIT_S = 8.0
 
 @dataclass(frozen=True)
 class Timing:
-    """One contestant of one stage at one size.
+    """One contestant of one stage on one content.
 
     Attributes
     ----------
-    stage, size, name : str
+    stage, content, name : str
         What was timed.
+    real : bool
+        `Content.real`.
     seconds : float
         Median.
     relative : float
@@ -45,8 +49,9 @@ class Timing:
     """
 
     stage: str
-    size: str
+    content: str
     name: str
+    real: bool
     seconds: float
     relative: float
 
@@ -58,7 +63,9 @@ class Results:
     Attributes
     ----------
     timings : list of Timing
-        By stage, size and contestant.
+        By content, stage and contestant.
+    iterations : dict of str to dict of str to int
+        Of the filter's solver, by content and preset.
     direct : list of dict
         Per preset, at the smallest size (at most the smallest of `SIZES`: the time of a direct
         solver explodes): its time and the largest difference between our solution and its.
@@ -70,12 +77,14 @@ class Results:
     """
 
     timings: list[Timing] = field(default_factory=list)
+    iterations: dict[str, dict[str, int]] = field(default_factory=dict)
     direct: list[dict[str, Any]] = field(default_factory=list)
     memory: list[dict[str, Any]] = field(default_factory=list)
     first_call: list[dict[str, Any]] = field(default_factory=list)
 
 
 def benchmark(
+    contents: Sequence[Content],
     sizes: Sequence[Size],
     presets: Sequence[str],
     repeat: int,
@@ -85,8 +94,10 @@ def benchmark(
 
     Parameters
     ----------
+    contents : sequence of Content
+        What is matched, filtered and reconstructed.
     sizes : sequence of Size
-        Sizes, ascending.
+        Sizes of the other measurements, on synthetic pairs, ascending.
     presets : sequence of str
         Our presets.
     repeat : int
@@ -101,15 +112,17 @@ def benchmark(
 
     """
     results, steps = Results(), count()
-    for size in sizes:
-        bench = Bench(size, presets)
-        for stage, contestants in STAGES.items():
-            progress(next(steps), f'{stage} at {size}')
-            results.timings += time_stage(stage, bench, contestants(bench), repeat)
+    for content, stage_names in _plan(contents, sizes):
+        bench = Bench(content, presets)
+        for stage in stage_names:
+            progress(next(steps), f'{stage}, {content}')
+            results.timings += time_stage(stage, bench, STAGES[stage](bench), repeat)
+            if stage == 'exact WLS':
+                results.iterations[str(content)] = bench.iterations
     small = min(sizes[0], SIZES[0], key=lambda size: size.width * size.height)
     for preset in presets:
         progress(next(steps), f'direct solver, {preset}')
-        results.direct.append(direct.compare(Bench(small, presets), preset))
+        results.direct.append(direct.compare(Bench(synthetic(small), presets), preset))
     for preset in presets:
         progress(next(steps), f'memory of a match, {preset}')
         memory = probe.peak_memory(preset, *sizes[-1].numbers)
@@ -121,9 +134,19 @@ def benchmark(
     return results
 
 
-def step_count(sizes: Sequence[Size], presets: Sequence[str]) -> int:
+def step_count(contents: Sequence[Content], sizes: Sequence[Size], presets: Sequence[str]) -> int:
     """Return the number of steps of `benchmark`."""
-    return len(sizes) * len(STAGES) + 2 * len(presets) + 1
+    return sum(len(names) for _, names in _plan(contents, sizes)) + 2 * len(presets) + 1
+
+
+def _plan(
+    contents: Sequence[Content], sizes: Sequence[Size]
+) -> Iterator[tuple[Content, list[str]]]:
+    """Yield the contents, and the stages that are timed on each."""
+    for content in contents:
+        yield content, list(BY_CONTENT)
+    for size in sizes:
+        yield synthetic(size), [stage for stage in STAGES if stage not in BY_CONTENT]
 
 
 def time_stage(
@@ -134,16 +157,16 @@ def time_stage(
     first = next(iter(seconds))
     reference = math.nan if first in bench.presets else seconds[first]
     return [
-        Timing(stage, str(bench.size), name, value, value / reference)
+        Timing(stage, str(bench.content), name, bench.content.real, value, value / reference)
         for name, value in seconds.items()
     ]
 
 
-def growth(timings: Sequence[Timing], sizes: Sequence[Size]) -> dict[str, list[float]]:
-    """Return each matcher's time per pixel and disparity at every size, nanoseconds."""
-    work = {str(size): size.scores for size in sizes}
+def growth(timings: Sequence[Timing], contents: Sequence[Content]) -> dict[str, list[float]]:
+    """Return each matcher's time per pixel and disparity on every content, nanoseconds."""
+    work = {str(content): content.size.scores for content in contents}
     result: dict[str, list[float]] = {}
     for timing in timings:
         if timing.stage == 'match':
-            result.setdefault(timing.name, []).append(1e9 * timing.seconds / work[timing.size])
+            result.setdefault(timing.name, []).append(1e9 * timing.seconds / work[timing.content])
     return result

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from binocular_recon.config import ChainConfig
+from binocular_recon.evaluation.speed.content import Size
 from binocular_recon.evaluation.speed.live_content import LiveContent, motorcycle
 from binocular_recon.evaluation.speed.live_processes import (
     NAMESPACE,
@@ -22,7 +23,6 @@ from binocular_recon.evaluation.speed.live_processes import (
     chain_commands,
     running,
 )
-from binocular_recon.evaluation.speed.stages import Size
 from binocular_recon.stereo.pipeline import Chain
 
 OFFLINE = 'chain alone'

@@ -6,13 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from binocular_recon.camera import StereoRig
-from binocular_recon.evaluation.speed.stages import Bench, Size, recorded_image
+from binocular_recon.evaluation.speed.content import Size, shipped
+from binocular_recon.evaluation.speed.stages import Bench
 from binocular_recon.images import ByteImage
-from binocular_recon.io.shared_files import shared_file
 
 # Frames that differ by their noise alone, grey levels of 255: a still scene, as from a camera.
 FRAMES, _NOISE = 4, 2.0
@@ -60,31 +59,10 @@ def motorcycle(size: Size, seed: int = 0) -> LiveContent:
         If the pair is not installed.
 
     """
-    # here, so that who measures nothing needs no bags
-    from binocular_recon.io.bags.reader import Bag
-    from binocular_recon.io.bags.stereo_bag import StereoBag
-    from binocular_recon.io.bags.stereo_topics import find_stereo_topics
-
-    with Bag(shared_file('bags/motorcycle')) as bag:
-        images = next(iter(StereoBag(bag, find_stereo_topics(bag.topics)))).images()
-    rig = Bench(size, []).rig
+    bench = Bench(shipped(size), [])
     random = np.random.default_rng(seed)
     frames = []
-    for image, camera in zip(images, (rig.left, rig.right), strict=True):
-        recorded = recorded_image(_scaled(image, size), camera)
+    for recorded in bench.recorded:
         noise = random.normal(0, _NOISE, (FRAMES, *recorded.shape))
         frames.append(np.clip(np.rint(recorded + noise), 0, 255).astype(np.uint8))
-    return LiveContent(size, rig, frames[0], frames[1])
-
-
-def _scaled(image: ByteImage, size: Size) -> ByteImage:
-    """Return an image that fills a size, its rows cut alike at both edges."""
-    height, width = image.shape[:2]
-    scale = max(size.width / width, size.height / height)
-    whole = cv2.resize(
-        image,
-        (max(size.width, round(scale * width)), max(size.height, round(scale * height))),
-        interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA,
-    )
-    top, edge = (whole.shape[0] - size.height) // 2, (whole.shape[1] - size.width) // 2
-    return np.ascontiguousarray(whole[top : top + size.height, edge : edge + size.width])
+    return LiveContent(size, bench.rig, frames[0], frames[1])

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from binocular_recon.errors import BinocularReconError
-from binocular_recon.evaluation.speed.stages import Size
+from binocular_recon.evaluation.speed.content import Size
 from binocular_recon.io.shared_files import shared_file
 
 # How long a process may take to end before it is killed.

@@ -89,10 +89,11 @@ def _peak_bytes() -> int:
 
 
 def _measure_memory(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:
-    from binocular_recon.evaluation.speed.stages import Bench, Size
+    from binocular_recon.evaluation.speed.content import Size, synthetic
+    from binocular_recon.evaluation.speed.stages import Bench
     from binocular_recon.stereo.matching import match
 
-    small, large = Bench(Size(*_SMALL), [preset]), Bench(Size(*size), [preset])
+    small, large = (Bench(synthetic(Size(*one)), [preset]) for one in (_SMALL, size))
     match(*small.grey, small.config(preset).match)
     left, right = large.grey
     # what making the images needed at most is given back, but would hide as much of the match
@@ -109,11 +110,12 @@ def _measure_memory(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:
 
 def _measure_first_call(preset: str, size: tuple[int, int, int]) -> dict[str, Any]:
     start = time.perf_counter()
-    from binocular_recon.evaluation.speed.stages import Bench, Size
+    from binocular_recon.evaluation.speed.content import Size, synthetic
+    from binocular_recon.evaluation.speed.stages import Bench
     from binocular_recon.stereo.pipeline import Chain
 
     imported = time.perf_counter()
-    bench = Bench(Size(*size), [preset])
+    bench = Bench(synthetic(Size(*size)), [preset])
     chain = Chain(bench.rig, bench.config(preset))
     left, right = bench.recorded
     seconds = []

@@ -17,9 +17,13 @@ import numpy as np
 from binocular_recon.camera import Camera, StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.evaluation import peers
-from binocular_recon.evaluation.speed.synthetic import SyntheticPair, synthetic_pair
+from binocular_recon.evaluation.speed.content import Content, Pair, Size
 from binocular_recon.images import FloatImage, Image, to_grey
-from binocular_recon.stereo.filtering.wls_filter import DisparityFilter
+from binocular_recon.stereo.filtering.wls_filter import (
+    DisparityFilter,
+    Filtered,
+    filter_disparity,
+)
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.pipeline import Chain
 from binocular_recon.stereo.rectification import Rectifier
@@ -40,64 +44,37 @@ _DISTORTION = np.array([-0.12, 0.05, 4e-4, -3e-4, 0.0])
 _FRAME_NOISE = 2.0
 
 
-@dataclass(frozen=True)
-class Size:
-    """Size of a benchmark.
-
-    Attributes
-    ----------
-    width, height : int
-        Of the images, px.
-    disparity_range : int
-        Number of disparities searched.
-
-    """
-
-    width: int
-    height: int
-    disparity_range: int
-
-    @property
-    def numbers(self) -> tuple[int, int, int]:
-        """Width, height and disparities."""
-        return self.width, self.height, self.disparity_range
-
-    @property
-    def scores(self) -> int:
-        """Pixels times disparities."""
-        return self.width * self.height * self.disparity_range
-
-    def __str__(self) -> str:
-        """Return the size as given on the command line."""
-        return f'{self.width}x{self.height}x{self.disparity_range}'
-
-
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Input of all stages at one size.
+    """Input of all stages on one content.
 
     Attributes
     ----------
-    size : Size
-        The size.
+    content : Content
+        The pair and its size.
     presets : sequence of str
         Presets that take part.
 
     """
 
-    size: Size
+    content: Content
     presets: Sequence[str]
 
+    @property
+    def size(self) -> Size:
+        """Size of the content."""
+        return self.content.size
+
     @cached_property
-    def pair(self) -> SyntheticPair:
+    def pair(self) -> Pair:
         """The images, rectified."""
-        return synthetic_pair(*self.size.numbers)
+        return self.content.pair()
 
     @cached_property
     def recorded(self) -> tuple[Image, Image]:
         """The images as the cameras of the rig would record them."""
-        pair, rig = self.pair, self.rig
-        return recorded_image(pair.left, rig.left), recorded_image(pair.right, rig.right)
+        (left, right), rig = self.pair, self.rig
+        return recorded_image(left, rig.left), recorded_image(right, rig.right)
 
     @cached_property
     def rig(self) -> StereoRig:
@@ -114,12 +91,27 @@ class Bench:
     @cached_property
     def grey(self) -> tuple[FloatImage, FloatImage]:
         """The images as our stages take them."""
-        return to_grey(self.pair.left), to_grey(self.pair.right)
+        return to_grey(self.pair[0]), to_grey(self.pair[1])
 
     @cached_property
     def matches(self) -> dict[str, Match]:
         """What each preset's matching makes of the images."""
         return {name: match(*self.grey, self.config(name).match) for name in self.presets}
+
+    @cached_property
+    def filtered(self) -> dict[str, Filtered]:
+        """What each preset's filter makes of its matches."""
+        return {name: self._filtered(name) for name in self.presets}
+
+    @property
+    def iterations(self) -> dict[str, int]:
+        """Iterations of each preset's solver."""
+        return {name: filtered.iterations for name, filtered in self.filtered.items()}
+
+    def _filtered(self, preset: str) -> Filtered:
+        matched, config = self.matches[preset], self.config(preset)
+        images = matched.disparity_px, matched.confidence, self.grey[0]
+        return filter_disparity(*images, config.filter, limits_px=config.match.limits_px)
 
     def config(self, preset: str) -> ChainConfig:
         """Return a preset's options with this size's search range."""
@@ -130,8 +122,8 @@ class Bench:
 
 def matching(bench: Bench) -> Contestants:
     """From two grey images to a disparity map; ours both directions with all checks."""
-    left, right = (peers.to_bytes(image) for image in (bench.pair.left, bench.pair.right))
-    guide, search = bench.pair.left, bench.size.disparity_range
+    left, right = (peers.to_bytes(image) for image in bench.pair)
+    guide, search = bench.pair[0], bench.size.disparity_range
 
     def opencv(matcher: peers.OpenCvMatcher) -> Callable[[], object]:
         compute = matcher.prepare(search)
@@ -167,8 +159,8 @@ def filtering(bench: Bench) -> Contestants:
 
 
 def _ximgproc_filter(bench: Bench) -> Callable[[], object]:
-    left, right = (peers.to_bytes(image) for image in (bench.pair.left, bench.pair.right))
-    guide = bench.pair.left
+    left, right = (peers.to_bytes(image) for image in bench.pair)
+    guide = bench.pair[0]
     matcher = SGBM.matcher(bench.size.disparity_range)
     wls = peers.wls_filter(matcher)
     disparity = matcher.compute(left, right)
@@ -205,7 +197,7 @@ def rectifying(bench: Bench) -> Contestants:
 
 def triangulating(bench: Bench) -> Contestants:
     """From a dense disparity map to points; ours with the standard deviation of each depth."""
-    disparity_px = bench.pair.disparity_px
+    disparity_px = bench.filtered[bench.presets[0]].disparity_px
     sigma_px = np.full_like(disparity_px, 0.1)
     validity = np.full(disparity_px.shape, Validity.MEASURED, np.uint8)
     Q = _reprojection(bench.rig)

@@ -28,7 +28,7 @@ from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptio
 from binocular_recon.options import Options
 from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
 from binocular_recon.stereo.matching import Match, disparity_step_px, match
-from binocular_recon.stereo.orientation import turn, turn_back
+from binocular_recon.stereo.orientation import turn, turn_back, turned_colours
 from binocular_recon.stereo.range_tracker import RangeTracker
 from binocular_recon.stereo.rectification import check_size
 from binocular_recon.stereo.search_range import range_of_depths
@@ -96,7 +96,8 @@ class MatchStage:
             greys.append(grey)
         left_grey, right_grey = greys
         config = self._with_range(left_grey, right_grey, rig)
-        matched = match(left_grey, right_grey, config)
+        colours = turned_colours((left, right), levels, rig.turns)
+        matched = match(left_grey, right_grey, config, colours)
         health.state('matched', f'{matched.matched_share:.1%} of the pixels')
         findings = self._check.update(
             *(left_grey, right_grey, matched, config, rig.disparity_offset_px),

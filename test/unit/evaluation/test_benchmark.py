@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,16 @@ from binocular_recon.config import FilterConfig
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.speed import direct_solver as direct
 from binocular_recon.evaluation.speed import probe, stages
-from binocular_recon.evaluation.speed.benchmark import STAGES, Timing, growth, time_stage
-from binocular_recon.evaluation.speed.stages import Bench, Size
+from binocular_recon.evaluation.speed.benchmark import (
+    BY_CONTENT,
+    STAGES,
+    Timing,
+    growth,
+    time_stage,
+)
+from binocular_recon.evaluation.speed.content import Content, Size, shipped, site, synthetic
+from binocular_recon.evaluation.speed.stages import Bench
+from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.pipeline import Chain
 from test import naive_wls
@@ -28,7 +37,17 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope='module')
 def bench() -> Bench:
-    return Bench(SMALL, ['default'])
+    return Bench(synthetic(SMALL), ['default'])
+
+
+@pytest.mark.parametrize('make', [lambda: shipped(Size(150, 90, 16)), lambda: site(0.08)])
+def test_real_content_has_its_disparities(make: Callable[[], Content]) -> None:
+    content = make()
+    bench = Bench(content, ['default'])
+    (match,) = bench.matches.values()
+    assert bench.pair[0].shape == (content.size.height, content.size.width, 3)
+    assert match.matched_share > 0.5
+    assert bench.iterations['default'] >= 1
 
 
 def test_the_contestants_do_the_same_work(bench: Bench) -> None:
@@ -57,9 +76,10 @@ def test_every_stage_has_its_peers_first(bench: Bench) -> None:
 
 
 def test_recorded_images_are_those_that_the_chain_reconstructs() -> None:
-    bench = Bench(Size(320, 240, 32), ['default'])
+    bench = Bench(synthetic(Size(320, 240, 32)), ['default'])
+    truth_px = synthetic_pair(320, 240, 32).disparity_px
     chain = Chain(bench.rig, bench.config('default'))
-    error = chain(*bench.recorded).filtered.disparity_px - bench.pair.disparity_px
+    error = chain(*bench.recorded).filtered.disparity_px - truth_px
     assert np.mean(np.abs(error) > 1) < 0.1
 
 
@@ -70,8 +90,8 @@ def test_times_are_relative_to_the_first(bench: Bench, monkeypatch: pytest.Monke
         lambda *_args, **_options: medians,
     )
     assert time_stage('match', bench, {}, 1) == [
-        Timing('match', '128x96x16', 'peer', 0.2, 1.0),
-        Timing('match', '128x96x16', 'ours', 0.1, 0.5),
+        Timing('match', 'synthetic 128x96x16', 'peer', False, 0.2, 1.0),
+        Timing('match', 'synthetic 128x96x16', 'ours', False, 0.1, 0.5),
     ]
 
 
@@ -88,13 +108,13 @@ def test_without_the_peer_nothing_is_relative(
 
 
 def test_growth_is_per_pixel_and_disparity() -> None:
-    sizes = [Size(10, 10, 16), Size(20, 10, 16)]
+    contents = [synthetic(Size(10, 10, 16)), synthetic(Size(20, 10, 16))]
     timings = [
-        Timing('match', '10x10x16', 'ours', 1.6e-6, 1.0),
-        Timing('match', '20x10x16', 'ours', 6.4e-6, 1.0),
-        Timing('chain', '20x10x16', 'ours', 1.0, 1.0),
+        Timing('match', 'synthetic 10x10x16', 'ours', False, 1.6e-6, 1.0),
+        Timing('match', 'synthetic 20x10x16', 'ours', False, 6.4e-6, 1.0),
+        Timing('chain', 'synthetic 20x10x16', 'ours', False, 1.0, 1.0),
     ]
-    assert growth(timings, sizes) == {'ours': pytest.approx([1.0, 2.0])}
+    assert growth(timings, contents) == {'ours': pytest.approx([1.0, 2.0])}
 
 
 def test_direct_solver_minimises_eq_11() -> None:
@@ -124,7 +144,7 @@ def test_direct_solver_minimises_eq_11() -> None:
 
 @pytest.mark.parametrize('preset', ['default', 'paper'])
 def test_our_filter_is_held_against_the_direct_solver(preset: str) -> None:
-    result = direct.compare(Bench(SMALL, [preset]), preset)
+    result = direct.compare(Bench(synthetic(SMALL), [preset]), preset)
     assert result['largest_error_px'] < FilterConfig().wls_tolerance_px * 2
     assert result['direct_s'] > 0 and result['filter_s'] > 0
 
@@ -149,21 +169,34 @@ def test_a_measurement_that_fails_says_why() -> None:
 
 
 def test_command_prints_tables_and_writes_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scenes: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr('binocular_recon.evaluation.speed.content._SITE_SCALE', 0.1)
     calls = {'import_s': 1.0, 'first_s': 2.0, 'second_s': 0.5}
     # a cold cache means to compile everything: too slow here, and tested above with a warm one
     monkeypatch.setattr(probe, 'first_call', lambda *_args: {'cold': calls, 'warm': calls})
     output = tmp_path / 'out'
     arguments = ['benchmark', '--sizes', '128x96x16', '160x96x32', '--presets', 'default']
-    assert main([*arguments, '--repeat', '1', '--output', str(output)]) == 0
+    arguments += ['--repeat', '1', '--scenes', str(scenes), '--output', str(output)]
+    assert main(arguments) == 0
     printed = capsys.readouterr().out
     facts = json.loads((output / 'benchmark.json').read_text())
     assert facts['machine']['cores'] >= 1
-    stages_seen = {(timing['stage'], timing['size']) for timing in facts['results']['timings']}
-    assert stages_seen == {(s, size) for s in STAGES for size in ('128x96x16', '160x96x32')}
+    sizes = '128x96x16', '160x96x32'
+    real = ['park 200x120x32', *(f'motorcycle {size}' for size in sizes), 'site 192x120x48']
+    contents = [*real, 'synthetic 160x96x32']
+    seen = {(timing['stage'], timing['content']) for timing in facts['results']['timings']}
+    assert seen == {
+        *((stage, content) for stage in BY_CONTENT for content in contents),
+        *((stage, f'synthetic {size}') for stage in ('rectify', 'cloud') for size in sizes),
+    }
+    assert {one['content'] for one in facts['results']['timings'] if one['real']} == set(real)
+    assert list(facts['results']['iterations']) == contents
     assert all(timing['seconds'] > 0 for timing in facts['results']['timings'])
-    for title in ('match', 'exact WLS', 'rectify', 'cloud', 'chain', 'peak memory', 'first call'):
+    for title in (*STAGES, 'mean of real content', 'chain, pairs', 'peak memory', 'first call'):
         assert f'\n| {title}' in '\n' + printed
     assert '| default, cold cache' in printed
     assert ('no ximgproc' in printed) == (not peers.has_ximgproc())

@@ -14,8 +14,8 @@ from binocular_recon.evaluation.accuracy.metrics import (
     depth_from_disparity,
     normalised_error_rms,
     sigma_bins,
-    visible_from_truth,
 )
+from binocular_recon.evaluation.accuracy.visibility import visible_from_truth
 from binocular_recon.images import FloatImage
 
 NAN = math.nan

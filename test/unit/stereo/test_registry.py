@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
 from pathlib import Path
 
 import cv2
@@ -20,6 +20,8 @@ from binocular_recon.stereo import Chain
 from binocular_recon.stereo.matching import Match, match, register_matcher, registry
 from binocular_recon.stereo.validity import Validity
 
+pytestmark = pytest.mark.usefixtures('built_in_matchers')
+
 HEIGHT, WIDTH = 24, 32
 BLANK = np.full((HEIGHT, WIDTH), 90, np.uint8)
 
@@ -32,15 +34,6 @@ def constant(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
     return Match(disparity, np.ones_like(disparity), validity)
 
 
-@pytest.fixture(autouse=True)
-def only_built_in_ones_afterwards() -> Iterator[None]:
-    names = list(MATCHER_NAMES)
-    yield
-    for name in set(MATCHER_NAMES) - set(names):
-        MATCHER_NAMES.remove(name)
-        registry._MATCHERS.pop(name, None)
-
-
 def make_rig() -> StereoRig:
     cameras = []
     for tx in (0.0, -100.0):
@@ -50,7 +43,7 @@ def make_rig() -> StereoRig:
 
 
 def test_the_documented_names_are_the_built_in_matchers() -> None:
-    assert list(registry._MATCHERS) == MATCHER_NAMES == ['ncc']
+    assert list(registry._MATCHERS) == MATCHER_NAMES == ['ncc', 'onnx']
     assert MatchConfig().matcher == 'ncc'
 
 
@@ -61,6 +54,23 @@ def test_the_chain_uses_a_registered_matcher() -> None:
     np.testing.assert_array_equal(result.matched.disparity_px, 8)
     np.testing.assert_allclose(result.filtered.disparity_px, 8, atol=0.01)
     np.testing.assert_allclose(result.cloud.depth_m, 200 * 0.5 / 8, rtol=1e-3)
+
+
+def test_a_matcher_of_colour_gets_colour() -> None:
+    def blue(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match:
+        found = constant(left[..., 0], right[..., 0], config)
+        # the blue channel is the disparity
+        return dataclasses.replace(found, disparity_px=left[..., 0])
+
+    register_matcher('blue', blue, colour=True)
+    random = np.random.default_rng(1)
+    image = random.integers(3, 12, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    config = ChainConfig.preset('fast', matcher='blue', disparity_range=16)
+    result = Chain(make_rig(), config, rectify=False)(image, image)
+    np.testing.assert_array_equal(result.matched.disparity_px, image[..., 0])
+    # without colour it gets the grey levels in each channel
+    grey = np.full((HEIGHT, WIDTH), 11, np.float32)
+    np.testing.assert_array_equal(match(grey, grey, config.match).disparity_px, 11)
 
 
 def test_a_command_uses_a_registered_matcher(
@@ -74,18 +84,18 @@ def test_a_command_uses_a_registered_matcher(
     np.testing.assert_allclose(read_pfm(output), 8, atol=0.01)
     with pytest.raises(SystemExit):
         main([*words, '--matcher', 'census'])
-    assert "matcher must be one of ncc, constant, got 'census'" in capsys.readouterr().err
+    assert "matcher must be one of ncc, onnx, constant, got 'census'" in capsys.readouterr().err
 
 
 def test_an_unknown_matcher_is_refused() -> None:
-    with pytest.raises(ConfigError, match="matcher must be one of ncc, got 'census'"):
+    with pytest.raises(ConfigError, match="matcher must be one of ncc, onnx, got 'census'"):
         ChainConfig.preset('default', matcher='census')
 
 
 @pytest.mark.parametrize('name', ['ncc', 'constant'])
 def test_a_name_is_registered_once(name: str) -> None:
     register_matcher('constant', constant)
-    message = f"matcher '{name}' is registered already; choose a name that is not one of ncc, con"
+    message = f"matcher '{name}' is registered already; choose a name that is not one of ncc, onnx"
     with pytest.raises(ConfigError, match=message):
         register_matcher(name, constant)
 
@@ -95,7 +105,9 @@ def test_options_from_a_process_with_more_matchers_are_refused() -> None:
     config = MatchConfig(matcher='constant', disparity_range=16)
     del registry._MATCHERS['constant']
     left = BLANK.astype(np.float32)
-    with pytest.raises(ConfigError, match=r"one of ncc, got 'constant'; call register_matcher"):
+    with pytest.raises(
+        ConfigError, match=r"one of ncc, onnx, got 'constant'; call register_matcher"
+    ):
         match(left, left, config)
 
 
