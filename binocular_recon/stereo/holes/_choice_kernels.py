@@ -7,7 +7,7 @@ levels differ, and the largest step between neighbours on the way.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from binocular_recon._jit import Array, inline_kernel, kernel
 DISTANCE, LEVEL, EDGE = np.float32(0.03), np.float32(0.1), np.float32(0.4)
 # Disparities that differ by less belong to the surface that a pixel was filled with.
 SAME_SURFACE_PX = np.float32(1.5)
-_ZERO, _NAN = np.float32(0), np.float32(np.nan)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_NAN, _FAR = np.float32(np.nan), np.float32(np.inf)
 
 
 class Costs(NamedTuple):
@@ -36,54 +37,9 @@ class Costs(NamedTuple):
     own: Array
 
 
-class Ray(NamedTuple):
-    """Where each of N sweeps is, float32: the last measured pixel, and the way from there.
-
-    Attributes
-    ----------
-    disparity, level : of the last measured pixel; NaN = none yet.
-    previous : grey level of the last pixel.
-    steps, edge : number of pixels since, and the largest step of grey level between them.
-
-    """
-
-    disparity: Array
-    level: Array
-    previous: Array
-    steps: Array
-    edge: Array
-
-
 @inline_kernel
-def _new_ray(count: int) -> Ray:
-    return Ray(
-        np.full(count, _NAN),
-        np.full(count, _NAN),
-        np.full(count, _NAN),
-        np.zeros(count, np.float32),
-        np.zeros(count, np.float32),
-    )
-
-
-@inline_kernel
-def _visit(
-    measured: Array, filled: Array, guide: Array, costs: Costs, ray: Ray, i: int, y: int, x: int
-) -> None:
-    """Move ray ``i`` to a pixel; in a hole, compare the cost of what the ray brings."""
-    here, level = measured[y, x], guide[y, x]
-    if here == here:
-        ray.disparity[i], ray.level[i], ray.previous[i] = here, level, level
-        ray.steps[i], ray.edge[i] = _ZERO, _ZERO
-        return
-    ray.steps[i] += np.float32(1)
-    ray.edge[i] = max(ray.edge[i], abs(level - ray.previous[i]))
-    ray.previous[i] = level
-    cost = DISTANCE * ray.steps[i] + LEVEL * abs(level - ray.level[i]) + EDGE * ray.edge[i]
-    # comparisons with NaN, where nothing was measured on the way, are false
-    if abs(ray.disparity[i] - filled[y, x]) < SAME_SURFACE_PX and cost < costs.own[y, x]:
-        costs.own[y, x] = cost
-    if cost < costs.least[y, x]:
-        costs.least[y, x], costs.value[y, x] = cost, ray.disparity[i]
+def _cost(steps: Any, difference: Any, edge: Any) -> Any:
+    return DISTANCE * steps + LEVEL * abs(difference) + EDGE * edge
 
 
 @kernel
@@ -96,11 +52,25 @@ def compare_ends_of_rows(
     """
     width = measured.shape[1]
     for y in range(start, stop):
+        row, fill, levels = measured[y], filled[y], guide[y]
+        least, value, own = costs.least[y], costs.value[y], costs.own[y]
         for side in range(2):
-            ray = _new_ray(1)
+            end, level, before, steps, edge = _NAN, _ZERO, _ZERO, _ZERO, _ZERO
             for i in range(width):
                 x = width - 1 - i if side else i
-                _visit(measured, filled, guide, costs, ray, 0, y, x)
+                here = levels[x]
+                if row[x] == row[x]:
+                    end, level, before, steps, edge = row[x], here, here, _ZERO, _ZERO
+                    continue
+                steps += _ONE
+                edge = max(edge, abs(here - before))
+                before = here
+                # no cost where nothing was measured on the way
+                cost = _cost(steps, here - level, edge) if end == end else _FAR
+                if cost < own[x] and abs(end - fill[x]) < SAME_SURFACE_PX:
+                    own[x] = cost
+                if cost < least[x]:
+                    least[x], value[x] = cost, end
 
 
 @kernel
@@ -108,13 +78,34 @@ def compare_ends_of_columns(
     measured: Array, filled: Array, guide: Array, costs: Costs, start: int, stop: int
 ) -> None:
     """Compare also what those of columns ``start`` to ``stop`` find in the north and the south."""
-    height = len(measured)
+    height, width = len(measured), stop - start
+    # of each column: the last measured pixel and its level, the level of the last pixel, and the
+    # way and the largest edge since
+    end, level, before = np.empty((3, width), np.float32)
+    steps, edge = np.empty((2, width), np.float32)
     for side in range(2):
-        ray = _new_ray(stop - start)
+        end[:] = _NAN
         for i in range(height):
             y = height - 1 - i if side else i
-            for x in range(start, stop):
-                _visit(measured, filled, guide, costs, ray, x - start, y, x)
+            row, fill, levels = measured[y], filled[y], guide[y]
+            least, value, own = costs.least[y], costs.value[y], costs.own[y]
+            for k in range(width):
+                x = start + k
+                here = levels[x]
+                if row[x] == row[x]:
+                    end[k], level[k], before[k] = row[x], here, here
+                    steps[k], edge[k] = _ZERO, _ZERO
+                    continue
+                if end[k] != end[k]:
+                    continue
+                steps[k] += _ONE
+                edge[k] = max(edge[k], abs(here - before[k]))
+                before[k] = here
+                cost = _cost(steps[k], here - level[k], edge[k])
+                if cost < own[x] and abs(end[k] - fill[x]) < SAME_SURFACE_PX:
+                    own[x] = cost
+                if cost < least[x]:
+                    least[x], value[x] = cost, end[k]
 
 
 @kernel
@@ -132,7 +123,8 @@ def take_cheaper(
     """
     least, occluded, other = limits
     for y in range(start, stop):
-        for x in range(filled.shape[1]):
+        lowest, value, own, fill = costs.least[y], costs.value[y], costs.own[y], filled[y]
+        for x in range(fill.size):
             factor = np.float32(other if unexplained[y, x] else occluded)
-            if costs.own[y, x] > factor * costs.least[y, x] + np.float32(least):
-                filled[y, x] = costs.value[y, x]
+            if own[x] > factor * lowest[x] + np.float32(least):
+                fill[x] = value[x]
