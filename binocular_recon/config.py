@@ -109,6 +109,14 @@ class CorrelationConfig(Options):
         minimum=0.0,
         maximum=64.0,
     )
+    edge_support: int = option(
+        20,
+        'Fewest pixels of similar disparity around a match at an edge of disparity, in 7x7 px;'
+        ' matches with fewer lie between the surfaces and are dropped; 0 = off',
+        unit='px',
+        minimum=0,
+        maximum=49,
+    )
 
     def __post_init__(self) -> None:
         """Check that a large step costs at least as much as a small one."""
@@ -177,7 +185,7 @@ class FilterConfig(Options):
         ' they are filled by smoothness alone',
     )
     wls_extrapolate: bool = option(
-        False,
+        True,
         'In columns that the right camera does not see, continue the slope of the adjacent'
         ' surface; off: continue its disparity',
     )
@@ -249,16 +257,18 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'uniqueness_ratio': 0.0,
         'subpixel': False,
         'speckle_size': 0,
+        'edge_support': 0,
         'wls_lambda': 0.35,
         'wls_alpha': 1.8,
         'wls_epsilon': 1e-4,
         'wls_use_confidence': False,
         'wls_complete': False,
+        'wls_extrapolate': False,
         'wls_disparity_steps': 0.0,
     },
     # winner takes all, no aggregation: for high frame rates
     'fast': {'semi_global': False, 'correlation_window_size': 7, 'uniqueness_ratio': 2.0},
     'default': {},
     # several matches per pair: where time matters less
-    'accurate': {'consensus': True, 'wls_extrapolate': True},
+    'accurate': {'consensus': True},
 }

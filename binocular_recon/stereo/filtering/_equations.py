@@ -52,19 +52,19 @@ def normal_equations(
         Options of the filter.
 
     """
-    data, weight = _data_term(measured_px, confidence, config)
+    data, weight = _data_term(measured_px, confidence, guide, config)
     return Equations(data, weight, *_links(data, guide, config))
 
 
 def _data_term(
-    measured: FloatImage, confidence: FloatImage, config: FilterConfig
+    measured: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
 ) -> tuple[FloatImage, FloatImage]:
     """Return b without holes and c of eq. 13."""
     if not config.wls_use_confidence:
         return fill_from_nearest(measured), np.ones_like(measured)
     valid = np.isfinite(measured)
     weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
-    data, completed = complete(measured, weight, extrapolate=config.wls_extrapolate)
+    data, completed = complete(measured, weight, guide, extrapolate=config.wls_extrapolate)
     return data, completed if config.wls_complete else weight
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Holes of a disparity map: how they are filled, and which ones half-occlusion does not explain.
 
-`completion` gives pixels without a match the disparity of the background; the matcher and the
-filter both use it. Exports its functions, and kernels for runs and regions of NaN.
+`completion` gives pixels without a match the disparity of the background, or by `choice` that of
+the surface which the image continues; the matcher and the filter both use it. `uncertainty` says
+how far off that may be. Exports their functions, and kernels for runs and regions of NaN.
 """
 
 from typing import TYPE_CHECKING

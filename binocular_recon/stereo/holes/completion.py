@@ -17,6 +17,7 @@ from binocular_recon.stereo.holes._hole_kernels import (
     mark_unexplained,
     raise_to_columns,
 )
+from binocular_recon.stereo.holes.choice import follow_image
 
 # Confidence of a completed pixel: a standard deviation of about 1 px (see `stereo.confidence`).
 COMPLETED_CONFIDENCE = 0.06
@@ -31,7 +32,11 @@ SLOPE_ROWS = 61
 
 
 def complete(
-    disparity_px: FloatImage, confidence: FloatImage, *, extrapolate: bool = False
+    disparity_px: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage | None = None,
+    *,
+    extrapolate: bool = False,
 ) -> tuple[FloatImage, FloatImage]:
     """Complete a disparity map before it is filtered.
 
@@ -41,6 +46,8 @@ def complete(
         Disparity; NaN = none.
     confidence : (H, W) float32
         Confidence of each pixel; 0 = none.
+    guide : (H, W) float32, optional
+        Grey levels of the left image, for `choice.follow_image`.
     extrapolate : bool
         Whether columns that the right camera does not see continue the slope of the surface next
         to them.
@@ -50,7 +57,8 @@ def complete(
     disparity_px : (H, W) float32
         Holes are filled from the background along rows and smoothed across rows by a median;
         measured disparities are kept. In runs that half-occlusion does not explain, the background
-        along the column is taken where it is nearer. All NaN if nothing was measured.
+        along the column is taken where it is nearer; where the image clearly continues another
+        surface, that one. All NaN if nothing was measured.
     confidence : (H, W) float32
         `COMPLETED_CONFIDENCE` in holes.
 
@@ -62,6 +70,8 @@ def complete(
     over_strips(raise_to_columns, filled.shape[1], measured, unexplained, filled, strip=128)
     if np.isnan(filled[0, 0]):
         return filled, np.zeros_like(confidence)
+    if guide is not None:
+        follow_image(measured, filled, guide, unexplained)
     if extrapolate:
         _extrapolate(measured, filled)
     smooth = np.where(holes, cv2.medianBlur(filled, 5), filled)

@@ -197,3 +197,39 @@ def plane_strip(
             uniform = limit * limit / splat(np.float32(3))
             square = at_most(splat(LEAST_SAMPLES), n, larger(square, zero), uniform)
             store(residual[y], x, square + (here - here))  # NaN where there is no disparity
+
+
+@kernel
+def find_between_strip(
+    disparity: Array,
+    near: tuple[Array, Array],
+    limits: tuple[int, float, float, int],
+    between: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Mark pixels next to a step with too few like them around.
+
+    ``near`` are the smallest and the largest disparity in the window around each pixel; ``limits``
+    the radius of the window, the least step from these, the largest difference of pixels that are
+    alike, and how many there must be in a whole window, the pixel itself included.
+    """
+    lowest, highest = near
+    radius, step, alike, least = limits
+    height, width = disparity.shape
+    for y in range(start, stop):
+        top, bottom = max(y - radius, 0), min(y + radius + 1, height)
+        for x in range(width):
+            here = disparity[y, x]
+            # a comparison with NaN is false
+            between[y, x] = here - lowest[y, x] > step or highest[y, x] - here > step
+            if not between[y, x]:
+                continue
+            first, end = max(x - radius, 0), min(x + radius + 1, width)
+            count = 0
+            for j in range(top, bottom):
+                for i in range(first, end):
+                    count += abs(disparity[j, i] - here) <= alike
+            # at the image border fewer suffice
+            inside, whole = (bottom - top) * (end - first), (2 * radius + 1) ** 2
+            between[y, x] = count * whole < least * inside

@@ -24,7 +24,7 @@ from binocular_recon.stereo.matching.half_resolution import (
     halve,
     has_low_texture,
 )
-from binocular_recon.stereo.matching.refinement import drop_speckles, smooth
+from binocular_recon.stereo.matching.refinement import drop_flying, drop_speckles, smooth
 from binocular_recon.stereo.validity import Validity
 
 # Disparity, its standard deviation (both float32, NaN = none) and validity (uint8), all (H, W).
@@ -90,6 +90,7 @@ def match_ncc(left: FloatImage, right: FloatImage, config: MatchConfig) -> Match
     """
     measure = _measure_by_consensus if config.consensus else _measure
     disparity, sigma, validity = measure(left, right, config)
+    drop_flying(disparity, sigma, config)
     matched = _rounded(disparity, sigma, validity, config)
     _mark_missing(left, right, validity, config)
     return matched

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement: speckles are dropped, and disparities are smoothed along planes."""
+"""Refinement: speckles and flying pixels are dropped, disparities smoothed along planes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from binocular_recon.stereo.matching._refinement_kernels import (
     BORDER,
     MEDIAN_BORDER,
     drop_negative,
+    find_between_strip,
     pad_strip,
     plane_strip,
     quantise,
@@ -33,6 +34,9 @@ SAME_SURFACE_PX = 1.5
 # median above which a disparity is replaced.
 SAME_OBJECT_LEVELS = 16.0
 WRONG_PX = 1.0
+# Flying pixels: radius of the window, the least step of disparity within it that makes it an edge,
+# and the largest difference of pixels on the same surface.
+WINDOW_PX, EDGE_PX, ALIKE_PX = 3, 2.0, 1.5
 
 
 def drop_speckles(disparity_px: FloatImage, config: MatchConfig) -> None:
@@ -45,6 +49,25 @@ def drop_speckles(disparity_px: FloatImage, config: MatchConfig) -> None:
     over_strips(quantise, len(whole), disparity_px, config.min_disparity - 1.0, steps, whole)
     cv2.filterSpeckles(whole, -1, config.speckle_size, config.speckle_range * steps)
     over_strips(drop_negative, len(whole), whole, disparity_px)
+
+
+def drop_flying(disparity_px: FloatImage, sigma_px: FloatImage, config: MatchConfig) -> None:
+    """Set pixels between the two surfaces of an edge to NaN, in place.
+
+    Where a window sees two surfaces, its best match may lie between them. Such pixels have fewer
+    than ``edge_support`` others of similar disparity around, on an edge of disparity.
+    """
+    if config.edge_support == 0:
+        return
+    none = np.isnan(disparity_px)
+    window = np.ones((2 * WINDOW_PX + 1,) * 2, np.uint8)
+    far = np.float32(1e6)
+    lowest = cv2.erode(np.where(none, far, disparity_px), window)
+    highest = cv2.dilate(np.where(none, -far, disparity_px), window)
+    limits = WINDOW_PX, EDGE_PX, ALIKE_PX, config.edge_support
+    flying = np.empty(disparity_px.shape, np.bool_)
+    over_strips(find_between_strip, len(flying), disparity_px, (lowest, highest), limits, flying)
+    disparity_px[flying], sigma_px[flying] = np.nan, np.nan
 
 
 def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, FloatImage]:

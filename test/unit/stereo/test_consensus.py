@@ -129,19 +129,19 @@ def test_results_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_slanted_plane_is_continued_where_the_right_camera_does_not_see() -> None:
     left, right, truth = slanted_pair()
     error = {}
-    for preset in ('default', 'accurate'):
-        config = ChainConfig.preset(preset, disparity_range=32)
+    for extrapolates in (False, True):
+        config = ChainConfig.preset('default', disparity_range=32, wls_extrapolate=extrapolates)
         disparity = estimate_disparity(left, right, config).filtered.disparity_px
-        error[preset] = np.abs(disparity - truth)
+        error[extrapolates] = np.abs(disparity - truth)
     unseen = np.mgrid[:100, :160][1] < truth
-    assert error['accurate'][unseen].mean() < 0.6 * error['default'][unseen].mean()
-    assert error['accurate'][unseen].mean() < 0.7
-    assert error['accurate'][~unseen].mean() < error['default'][~unseen].mean()
+    assert error[True][unseen].mean() < 0.65 * error[False][unseen].mean()
+    assert error[True][unseen].mean() < 0.9
+    np.testing.assert_allclose(error[True][~unseen].mean(), error[False][~unseen].mean(), 0.02)
 
 
 @pytest.mark.large
 @pytest.mark.kernel
-def test_accurate_is_more_accurate_than_default() -> None:
+def test_accurate_is_as_accurate_as_default_on_easy_pairs() -> None:
     bad = {}
     for preset in ('default', 'accurate'):
         config = ChainConfig.preset(preset, disparity_range=48)
@@ -151,4 +151,5 @@ def test_accurate_is_more_accurate_than_default() -> None:
             disparity = estimate_disparity(pair.left, pair.right, config).filtered.disparity_px
             errors.append(np.abs(disparity - pair.disparity_px)[pair.visible])
         bad[preset] = 100 * np.mean(np.concatenate(errors) > 1)
-    assert bad['accurate'] < 0.9 * bad['default']
+    assert bad['default'] < 1.2
+    assert bad['accurate'] < 1.05 * bad['default']

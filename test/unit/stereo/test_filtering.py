@@ -85,7 +85,8 @@ def test_completion_and_steps() -> None:
     """Both departures from eq. 12-13 against the naive twin."""
     disparity, confidence, guide = scene(2)
     config = FilterConfig(wls_tolerance_px=2e-4)
-    data, weight = complete(disparity, np.where(np.isfinite(disparity), confidence, 0))
+    known = np.where(np.isfinite(disparity), confidence, 0)
+    data, weight = complete(disparity, known, guide, extrapolate=True)
     links = naive_wls.links(naive_wls.log_luminance(guide), 0.02, 1.2, 1e-4)
     for axis, link in zip((1, 0), links, strict=True):
         step = np.diff(data.astype(float), axis=axis)
