@@ -181,8 +181,9 @@ class CalibrationServices:
             )
         pair = self.pairs.take(self._explain_silence)
         found = detect_pair(pair, self._board)
-        if pair.size != rig.left.size:
-            raise CalibrationError(describe_size_change(pair.size, rig.left.size))
+        calibrated = CommonSize(rig.left.size, rig.right.size)
+        if pair.sizes != calibrated:
+            raise CalibrationError(describe_size_change(pair.sizes, calibrated))
         capture = Capture('now', found[0].marks_px, found[1].marks_px)
         (distance,) = check_distances(rig, [capture], self._target)
         if not distance.passed:

@@ -154,6 +154,18 @@ def test_a_pair_of_two_sizes_is_reconstructed() -> None:
         rectifier(left, left)
 
 
+@pytest.mark.parametrize(('below_m', 'where'), [(1.0, 'below'), (-0.8, 'above')])
+def test_rods_before_cameras_one_above_the_other(below_m: float, where: str) -> None:
+    rig = survey_rig()
+    rig = replace(rig, T=-rig.R @ np.array([0.02, below_m, 0.0]))
+    with pytest.raises(
+        CalibrationError,
+        match=f'stands {abs(below_m):.2g}.* m {where} the left one and .* m beside it; this'
+        ' calibration aligns rows, .* give its file to import-calibration',
+    ):
+        calibrate(captures_of(rig, 5), BOARD, rig.left.size)
+
+
 def test_points_of_two_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = rig_of(0.5, 0.75)
     grid = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1).reshape(-1, 2) * 0.12
