@@ -107,16 +107,15 @@ class FrameNode(BaseNode):
     ) -> StereoRig:
         """Return the rig of two CameraInfos; it is made again only when they change.
 
-        The sizes of the images ``left`` and ``right``, arrays, are those of infos which state
-        none. Of ``rectified`` images only P counts.
+        The sizes of the arrays ``left`` and ``right`` are those of infos which state none. Of
+        ``rectified`` images only P counts.
         """
-        sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-        key = calibration_content(left_info), calibration_content(right_info), sizes
+        size, right_size = left.shape[1::-1], right.shape[1::-1]
+        key = calibration_content(left_info), calibration_content(right_info), size, right_size
         if self._rig is None or self._rig[0] != key:
             self._rig = None
-            rig = rig_from_messages(
-                left_info, right_info, size=sizes[0], right_size=sizes[1], rectified=rectified
-            )
+            sizes = {'size': size, 'right_size': right_size}
+            rig = rig_from_messages(left_info, right_info, **sizes, rectified=rectified)
             self._rig = key, rig
             self.report_rig(rig)
         self.warn_of_rig(self._rig[1])
