@@ -107,6 +107,12 @@ class Camera:
         return self.width, self.height
 
     @property
+    def rectified(self) -> bool:
+        """Whether its images are rectified already: without distortion, K that of P, R = I."""
+        known = np.array_equal(self.K, self.P[:, :3]) and np.array_equal(self.R, np.eye(3))
+        return known and not self.D.any()
+
+    @property
     def lens(self) -> Lens:
         """Lens model that ``D`` belongs to."""
         return LENSES[self.distortion_model]
@@ -114,8 +120,9 @@ class Camera:
     @property
     def warning(self) -> str:
         """Why the camera seems to be that of images of another size; else empty."""
-        rectified = np.array_equal(self.K, self.P[:, :3])
-        return resolution_warning(self.size, self.K, rectified=rectified)
+        return resolution_warning(
+            self.size, self.K, rectified=np.array_equal(self.K, self.P[:, :3])
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +212,13 @@ class StereoRig:
     covariance : RigCovariance, optional
         Covariance of the calibration; without it sigmas hold the share of matching only.
 
+    The raw images may differ in size; both rectified ones have that of the left one.
+
     Raises
     ------
     CalibrationError
-        If the sizes differ, the baseline is not positive or the rows do not correspond.
+        If rectified cameras differ in size, the baseline is not positive or the rows do not
+        correspond.
 
     """
 
@@ -218,10 +228,11 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         """Check that the two cameras form a rectified pair."""
-        if self.left.size != self.right.size:
+        if self.left.size != self.right.size and self.left.rectified and self.right.rectified:
             raise CalibrationError(
                 f'left camera is {self.left.width}x{self.left.height}, right is'
-                f' {self.right.width}x{self.right.height}; both must have the same size'
+                f' {self.right.width}x{self.right.height}; rectified images must have the same'
+                ' size: rectify both to the size of the left one'
             )
         check_baseline(self.left.P, self.right.P)
         if self.covariance is not None and self.turns:

@@ -17,6 +17,7 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.number_text import significant
 from binocular_recon.stereo.point_covariance import calibration_derivatives
 from binocular_recon.stereo.rectification import rectified_points
@@ -107,7 +108,11 @@ class Holding:
 
 
 def check_holding(
-    rig: StereoRig, captures: Sequence[Capture], target: RodBoard | Target, size: tuple[int, int]
+    rig: StereoRig,
+    captures: Sequence[Capture],
+    target: RodBoard | Target,
+    size: tuple[int, int],
+    right_size: tuple[int, int] | None = None,
 ) -> Holding:
     """Compare a calibration with marks that were captured later.
 
@@ -123,6 +128,8 @@ def check_holding(
         Rods as in ``rods.yaml``, or the points of a board.
     size : (int, int)
         Width and height of the images, px.
+    right_size : (int, int), optional
+        That of the right images, where they differ from the left ones.
 
     Raises
     ------
@@ -133,10 +140,12 @@ def check_holding(
     """
     if isinstance(target, RodBoard):
         target = Target.from_rods(target)
-    if size != rig.left.size:
+    sizes = CommonSize(size, right_size or size)
+    calibrated = CommonSize(rig.left.size, rig.right.size)
+    if sizes != calibrated:
         raise CalibrationError(
-            f'the images are {size[0]}x{size[1]} px, the calibration is for'
-            f' {rig.left.width}x{rig.left.height} px; capture with the settings of the calibration'
+            f'the images are {sizes}, the calibration is for {calibrated}; capture with the'
+            ' settings of the calibration'
         )
     boards = [_measured(rig, capture, target) for capture in captures]
     seen = [board for board in boards if len(board.rows_px)]

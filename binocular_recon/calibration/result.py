@@ -23,12 +23,15 @@ from binocular_recon.calibration.advice import Advice
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.target import DEVIATIONS
-from binocular_recon.camera import FloatArray, StereoRig
+from binocular_recon.camera import INTRINSICS, FloatArray, StereoRig
+from binocular_recon.inputs.common_size import CommonSize
 
 # Distances that calibration.json states the depth sigma for, m.
 DEPTHS_M = (10.0, 15.0, 20.0)
 # Noise of the disparity that goes into it, px: what matching reaches on good texture.
 DISPARITY_SIGMA_PX = 0.1
+# Parameters in pixels of the right image.
+_RIGHT_PX = tuple(f'{name}_right' for name in INTRINSICS)
 # Units of parameters; distortion coefficients have none.
 _UNITS = {'fx': 'px', 'fy': 'px', 'cx': 'px', 'cy': 'px', 'turn': 'rad', 'T': 'm'}
 
@@ -81,8 +84,10 @@ class CalibrationResult:
     ----------
     names : tuple of str
         Boards that were used, in the order of all arrays.
+    sizes : CommonSize
+        Sizes of the images. All else but ``rig`` is in pixels of the left one's size.
     rig : StereoRig
-        The adjusted calibration with the R and P that rectify it.
+        The adjusted calibration with the R and P that rectify it, each camera in its own pixels.
     planar, corrected, adjusted : Stage
         Zhang's method; the same after epipolar correction; the joint adjustment.
     estimate : Estimate
@@ -103,6 +108,7 @@ class CalibrationResult:
     """
 
     names: tuple[str, ...]
+    sizes: CommonSize
     rig: StereoRig
     planar: Stage
     corrected: Stage
@@ -117,13 +123,19 @@ class CalibrationResult:
 
     @property
     def calibration(self) -> StereoCalibration:
-        """Both cameras."""
+        """Both cameras, the right one on a grid of the left one's size."""
         return self.estimate.state.calibration
 
     @property
     def mark_sigma_px(self) -> FloatArray:
-        """Noise of a mark's u and v, (2,) px."""
-        return self.estimate.problem.sigma_px
+        """Noise of a mark's u and v: (2,) px, or (2, 2) for each camera where sizes differ."""
+        return self.estimate.problem.sigma_px / self._pixels_px
+
+    @property
+    def _pixels_px(self) -> FloatArray:
+        """Pixels of the common grid per pixel, of the shape of ``mark_sigma_px`` or (1,)."""
+        pixels: FloatArray = self.estimate.problem.pixel_px[:, None]
+        return pixels if self.sizes.differs else np.ones(1)
 
     @property
     def rms_px(self) -> float:
@@ -144,7 +156,8 @@ class CalibrationResult:
     def sigma(self) -> dict[str, float]:
         """One standard deviation of the baseline (m) and of each free parameter."""
         free = self.estimate.problem.free
-        sigmas = np.sqrt(np.diag(self.estimate.covariance))
+        covariance = scaled_covariance(self.estimate, self.calibration.parameters, self.sizes)
+        sigmas = np.sqrt(np.diag(covariance))[free]
         names = np.array(self.calibration.parameters)[free].tolist()
         found = {'baseline_m': baseline_sigma_m(self.calibration, free, self.estimate.covariance)}
         for name, sigma in zip(names, sigmas, strict=True):
@@ -184,16 +197,18 @@ class CalibrationResult:
     def to_mapping(self) -> dict[str, Any]:
         """Return the content of ``calibration.json``."""
         calibration = self.calibration
+        covariance = scaled_covariance(self.estimate, calibration.parameters, self.sizes)
         depths = {f'{depth:g}': self.depth_sigma_m(depth) for depth in DEPTHS_M}
         return {
             'image_size': list(calibration.image_size),
+            **({'right_image_size': list(self.sizes.right)} if self.sizes.differs else {}),
             'baseline_m': calibration.baseline_m,
-            'left': _camera(calibration, 'left'),
-            'right': _camera(calibration, 'right'),
+            'left': {'K': self.rig.left.K.tolist(), 'D': self.rig.left.D.tolist()},
+            'right': {'K': self.rig.right.K.tolist(), 'D': self.rig.right.D.tolist()},
             'R': calibration.R.tolist(),
             'T': calibration.T.tolist(),
             'parameters': list(calibration.parameters),
-            'covariance': self.estimate.full_covariance.tolist(),
+            'covariance': covariance.tolist(),
             'sigma': self.sigma,
             'depth_sigma_m': {
                 depth: sigma if np.isfinite(sigma) else None for depth, sigma in depths.items()
@@ -206,10 +221,13 @@ class CalibrationResult:
             },
             'rejected': [{'name': board.name, 'reason': board.reason} for board in self.rejected],
             'rms_px': self.rms_px,
-            'mark_sigma_px': {
-                'u': float(self.mark_sigma_px[0]),
-                'v': float(self.mark_sigma_px[1]),
-            },
+            'mark_sigma_px': dict(
+                zip(
+                    ('u', 'v', 'u_right', 'v_right'),
+                    self.mark_sigma_px.ravel().tolist(),
+                    strict=False,
+                )
+            ),
             'marks_left_out': int(self.estimate.outliers.sum()),
             'placement_scale': dict(
                 zip(DEVIATIONS, self.estimate.problem.placement_scale.tolist(), strict=True)
@@ -255,8 +273,10 @@ def row_statistics(row_difference_px: FloatArray) -> dict[str, float]:
     return {'mean': float(np.nanmean(rows)), 'max': float(np.nanmax(rows))}
 
 
-def _camera(calibration: StereoCalibration, side: str) -> dict[str, Any]:
-    return {
-        'K': calibration.side(side)[0].tolist(),
-        'D': calibration.stated_lens(side)[1].tolist(),
-    }
+def scaled_covariance(
+    found: Estimate, parameters: tuple[str, ...], sizes: CommonSize
+) -> FloatArray:
+    """Return the covariance of all parameters, (p, p), the right camera's in its own pixels."""
+    own = [1 / sizes.scale if name in _RIGHT_PX else 1.0 for name in parameters]
+    covariance: FloatArray = found.full_covariance * np.outer(own, own)
+    return covariance

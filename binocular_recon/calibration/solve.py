@@ -28,7 +28,7 @@ from binocular_recon.calibration.rectification.metric_rectification import (
     metric_rig,
 )
 from binocular_recon.calibration.rectification.recalibration import corrected_marks, recalibrate
-from binocular_recon.calibration.result import CalibrationResult, Stage
+from binocular_recon.calibration.result import CalibrationResult, Stage, scaled_covariance
 from binocular_recon.calibration.screening import (
     Rejected,
     check_count,
@@ -40,8 +40,9 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.calibration.verdict import check_result, warnings_of
-from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
+from binocular_recon.camera import Camera, FloatArray, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.lenses.registry import LENSES
 
 # Noise of a mark before anything is known, px.
@@ -55,6 +56,7 @@ def calibrate(
     target: RodBoard | Target,
     image_size: tuple[int, int],
     *,
+    right_size: tuple[int, int] | None = None,
     lens: str = DEFAULT_LENS,
     rejected: Sequence[Rejected] = (),
     progress: Progress | None = None,
@@ -69,6 +71,8 @@ def calibrate(
         Rods as in ``rods.yaml``, or the points of a board.
     image_size : (int, int)
         Width and height of every image, px.
+    right_size : (int, int), optional
+        That of the right images, where they differ from the left ones.
     lens : str
         Lens of both cameras, one of `model.calibrated_lenses`: ``plumb_bob`` (which takes rational
         terms where the marks call for them), ``equidistant`` (fisheye), or a lens of your own.
@@ -92,6 +96,8 @@ def calibrate(
     check_lens(lens)
     if isinstance(target, RodBoard):
         target = Target.from_rods(target)
+    sizes = CommonSize(image_size, right_size or image_size)
+    captures = [capture.on_common(sizes) for capture in captures]
     usable, lost = usable_boards(captures, target, image_size, rejected, lens)
     check_spread(usable, target, image_size, lens)
     observed = observations(usable)
@@ -103,6 +109,11 @@ def calibrate(
     report('joint adjustment of cameras and rods')
     free = free_parameters(LENSES[lens].DEFAULT_COEFFICIENTS, lens)
     problem = Problem(target, observed, free, np.full(2, FIRST_SIGMA_PX))
+    if sizes.differs:
+        pixel_px = np.array([1.0, sizes.scale])
+        problem = replace(
+            problem, pixel_px=pixel_px, sigma_px=FIRST_SIGMA_PX * np.outer(pixel_px, np.ones(2))
+        )
     adjusted, evidence, model = _adjust(problem, planar)
     tone = find_tone_curve(adjusted)
     if tone.cause == 'tone':
@@ -127,12 +138,15 @@ def calibrate(
     )
     final = _stage(adjusted.state, target, used, _rows(rectified))
     corrected, more = _corrected(used, target, planar, final)
+    parameters = adjusted.state.calibration.parameters
+    right = _own_camera(rig.right, sizes)
     known = RigCovariance(
-        rig.left, rig.right, adjusted.state.calibration.parameters, adjusted.full_covariance
+        rig.left, right, parameters, scaled_covariance(adjusted, parameters, sizes)
     )
     return CalibrationResult(
         names=tuple(usable[i].name for i in adjusted.boards),
-        rig=StereoRig(rig.left, rig.right, covariance=known),
+        sizes=sizes,
+        rig=StereoRig(rig.left, right, covariance=known),
         planar=_stage(planar, target.exact(), used, _rows(used)),
         corrected=corrected,
         adjusted=final,
@@ -144,6 +158,12 @@ def calibrate(
         warnings=warnings_of(adjusted, halves, tone) + notes + more,
         advice=advise(adjusted),
     )
+
+
+def _own_camera(right: Camera, sizes: CommonSize) -> Camera:
+    """Return the right camera of the common grid as that of its own images."""
+    width, height = sizes.right
+    return replace(right, width=width, height=height, K=np.linalg.inv(sizes.matrix) @ right.K)
 
 
 def _planar(adjusted: Estimate, first: State) -> tuple[State, tuple[str, ...]]:

@@ -52,7 +52,9 @@ def draw_detections(
         A line along each rod with its number, a circle at each mark, and what is missing as text.
 
     """
-    return np.hstack([_drawn(*side) for side in zip(images, found, strict=True)])
+    drawn = [_drawn(*side) for side in zip(images, found, strict=True)]
+    height = max(map(len, drawn))
+    return np.hstack([np.pad(side, ((0, height - len(side)), (0, 0), (0, 0))) for side in drawn])
 
 
 def _drawn(source: ByteImage, detection: DetectedMarks) -> ByteImage:

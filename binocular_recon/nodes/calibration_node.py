@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from binocular_recon.apps.kernels import compile_detection
 from binocular_recon.calibration.target.rods import load_rods
 from binocular_recon.drawing.detections import draw_detections
-from binocular_recon.errors import BinocularReconError, ConfigError, ImageError
+from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.messages.images import fill_image, read_image
@@ -146,17 +146,7 @@ class CalibrationNode(FrameNode):
 
 
 def _read_pair(left: Image, right: Image) -> ImagePair:
-    images = [
-        read_image(message, f'{side} image').image
-        for message, side in ((left, 'left'), (right, 'right'))
-    ]
-    sizes = [f'{image.shape[1]}x{image.shape[0]}' for image in images]
-    if sizes[0] != sizes[1]:
-        raise ImageError(
-            f'left image is {sizes[0]} px, right image {sizes[1]} px; set both cameras to the same'
-            ' size'
-        )
-    return ImagePair(images[0], images[1])
+    return ImagePair(read_image(left, 'left image').image, read_image(right, 'right image').image)
 
 
 def main() -> int:

@@ -96,7 +96,8 @@ class StereoNode(FrameNode):
             self._rectify.publish(pair)
             return pair
         images = read_image(left, 'left image'), read_image(right, 'right image')
-        rig = self.rig(infos[0], infos[1], images[0].image, rectified=True)
+        left_image, right_image = (image.image for image in images)
+        rig = self.rig(infos[0], infos[1], left_image, right_image, rectified=True)
         return RectifiedPair(images, rig, (left.header, right.header))
 
 

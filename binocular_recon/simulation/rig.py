@@ -11,6 +11,7 @@ import numpy as np
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 
 # Mean row difference of the marks at 5-16 m: 5.5 px (2.3 px without).
 TABLE_1_PITCH_RAD = -0.0027
@@ -54,8 +55,9 @@ class RawRig:
         D_left, D_right = (
             camera.D if known else np.zeros(5) for camera in (self.left, self.right)
         )
+        right_K = CommonSize(self.left.size, self.right.size).matrix @ self.right.K
         R_left, R_right, P_left, P_right = cv2.stereoRectify(
-            self.left.K, D_left, self.right.K, D_right, self.left.size, self.R,
+            self.left.K, D_left, right_K, D_right, self.left.size, self.R,
             self.T.reshape(3, 1), alpha=0.0 if known else -1.0,
         )[:4]  # fmt: skip
         return StereoRig(

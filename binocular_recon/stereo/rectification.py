@@ -29,13 +29,15 @@ _NO_TURN, _FAR_M = 1e-6, 15
 _BORDER_SAMPLES = 65
 
 
-def rectification_maps(camera: Camera) -> tuple[Map, Map]:
+def rectification_maps(camera: Camera, size: tuple[int, int] | None = None) -> tuple[Map, Map]:
     """Return where each rectified pixel lies in the raw image.
 
     Parameters
     ----------
     camera : Camera
         Calibrated camera; ``R`` and ``P`` define the rectified image.
+    size : (int, int), optional
+        Width and height of the rectified image, px; that of the raw one by default.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def rectification_maps(camera: Camera) -> tuple[Map, Map]:
 
     """
     columns, rows = camera.lens.raw_pixels(
-        camera.K, camera.D, camera.R, camera.P[:, :3], camera.size
+        camera.K, camera.D, camera.R, camera.P[:, :3], size or camera.size
     )
     skew = camera.K[0, 1] / camera.K[1, 1]  # lenses leave it out
     if skew:
@@ -81,7 +83,7 @@ class Rectifier:
     Parameters
     ----------
     rig : StereoRig
-        Calibration of the raw images.
+        Calibration of the raw images. Both rectified images have the size of the left one.
     alpha : float
         -1 uses P as it is. 0..1 scales the focal length of both cameras about their principal
         points, as ``cv2.stereoRectify`` does: at 0 every rectified pixel has data, at 1 every raw
@@ -111,16 +113,17 @@ class Rectifier:
     ) -> None:
         if alpha != -1.0 and not 0.0 <= alpha <= 1.0:
             raise ConfigError(f'alpha must be -1 (keep P) or within 0..1, got {alpha}')
-        if max(rig.left.size) > LARGEST_SIDE_PX:
-            raise ImageError(
-                f'images of {rig.left.width}x{rig.left.height} px cannot be rectified: the longest'
-                f' side may have at most {LARGEST_SIDE_PX} px; use a lower resolution'
-            )
+        for camera in (rig.left, rig.right):
+            if max(camera.size) > LARGEST_SIDE_PX:
+                raise ImageError(
+                    f'images of {camera.width}x{camera.height} px cannot be rectified: the longest'
+                    f' side may have at most {LARGEST_SIDE_PX} px; use a lower resolution'
+                )
         _check_rotation(rig.left, 'left')
         _check_rotation(rig.right, 'right')
         if alpha >= 0.0:
             rig = _rescaled(rig, alpha)
-        cameras = _rectified(rig.left), _rectified(rig.right)
+        cameras = (_rectified(camera, rig.left.size) for camera in (rig.left, rig.right))
         self.rig = StereoRig(*cameras, covariance=rig.covariance)
         self._interpolation = interpolation
         self._raw = rig
@@ -135,7 +138,7 @@ class Rectifier:
 
         Returns
         -------
-        left, right : same shape and dtype
+        left, right : (H, W) or (H, W, C) of the left image's size, same dtype
             Rectified images; 0 outside the raw image.
 
         Raises
@@ -145,7 +148,7 @@ class Rectifier:
 
         """
         check_size(left, self._raw.left.size, 'left')
-        check_size(right, self._raw.left.size, 'right')
+        check_size(right, self._raw.right.size, 'right')
         left_maps, right_maps = self._maps
         return (
             cv2.remap(left, *left_maps, self._interpolation),
@@ -159,7 +162,8 @@ class Rectifier:
         They are not converted to fixed-point by convertMaps: with float maps OpenCV 5 is exact,
         and twice as fast on grey images. OpenCV 4 rounds both to 1/32 px.
         """
-        return rectification_maps(self._raw.left), rectification_maps(self._raw.right)
+        size = self._raw.left.size
+        return rectification_maps(self._raw.left), rectification_maps(self._raw.right, size)
 
 
 def is_turned(camera: Camera) -> bool:
@@ -199,9 +203,11 @@ def check_size(image: Image, size: tuple[int, int], side: str) -> None:
     check_image_size((width, height), size, f'{side} image')
 
 
-def _rectified(camera: Camera) -> Camera:
+def _rectified(camera: Camera, size: tuple[int, int]) -> Camera:
     return dataclasses.replace(
         camera,
+        width=size[0],
+        height=size[1],
         K=camera.P[:, :3],
         D=np.zeros(5),
         R=np.eye(3),
@@ -216,7 +222,7 @@ def _rescaled(rig: StereoRig, alpha: float) -> StereoRig:
         left, top, right, bottom = _border_points(camera)
         centre = camera.P[:2, 2]
         # distance of the four sides from the principal point: of the image, and of the data
-        sides = np.array([*centre, camera.width - 1 - centre[0], camera.height - 1 - centre[1]])
+        sides = np.array([*centre, *(np.array(rig.left.size) - 1 - centre)])
         nearest = [left[:, 0].max(), top[:, 1].max(), right[:, 0].min(), bottom[:, 1].min()]
         every = np.concatenate([left, top, right, bottom])
         farthest = [*every.min(axis=0), *every.max(axis=0)]

@@ -198,9 +198,9 @@ def test_saving_again_keeps_the_previous_files(day: Day) -> None:
     assert contents(day.output / 'previous') == day.saved
 
 
-def test_images_of_different_sizes_are_not_captured(day: Day) -> None:
+def test_images_of_other_sizes_than_before_are_not_captured(day: Day) -> None:
     message = day.message('different sizes', success=False)
-    assert 'left image is 960x600 px, right image 480x300 px; set both cameras to' in message
+    assert 'images are 960x600 and 480x300 px, those of earlier boards 960x600 px' in message
 
 
 def test_reset_moves_all_boards_away(day: Day) -> None:

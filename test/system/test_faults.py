@@ -67,7 +67,7 @@ BAD: dict[str, tuple[str, Callable[[int], dict[str, Any]], str]] = {
     'size of the pair': (
         'bad calibration',
         lambda i: {'right_info': bad_info(i, 'right', width=80)},
-        'left camera is 160x120, right is 80x120; both must have the same size',
+        'left camera is 160x120, right is 80x120; rectified images must have the same size',
     ),
     'size of the calibration': (
         'bad input',

@@ -72,8 +72,10 @@ class Problem:
         Marks: left u, left v, right u, right v; NaN = not found.
     free : (p,) bool
         Parameters of the calibration that are estimated.
-    sigma_px : (2,) float64
-        One standard deviation of a mark's u and v.
+    sigma_px : (2,) or (2, 2) float64
+        One standard deviation of a mark's u and v: of both cameras, or a row for each.
+    pixel_px : (2,) float64
+        Pixels of ``observed_px`` per pixel of each camera, where the cameras differ in size.
     placement_scale : (5,) float64
         Factor on each of the target's sigmas.
 
@@ -83,6 +85,7 @@ class Problem:
     observed_px: FloatArray
     free: Mask
     sigma_px: FloatArray
+    pixel_px: FloatArray = field(default_factory=lambda: np.ones(2))
     placement_scale: FloatArray = field(default_factory=lambda: np.ones(5))
 
     @property
@@ -110,6 +113,24 @@ class Problem:
         sigma = self.target.warp_sigma_m
         return np.full(2, sigma**-2) if self.target.bends else np.zeros(0)
 
+    @property
+    def floor_px(self) -> FloatArray:
+        """Smallest noise of a mark that is believed, of the shape of ``sigma_px``.
+
+        An error common to the M marks of a rod weighs as much as independent errors sqrt(M) as
+        large.
+        """
+        floor = np.full(2, NOISE_FLOOR_PX)
+        if self.target.has_rods:
+            floor = ROD_ERROR_PX * np.array([np.sqrt(self.target.shape[1]), 1.0])
+        return floor if self.sigma_px.ndim == 1 else np.outer(self.pixel_px, floor)
+
+    def sharing(self, marks: Mask) -> tuple[Mask, ...]:
+        """Return marks (B, R, M, 2) in groups of one noise: all, or those of each camera."""
+        if self.sigma_px.ndim == 1:
+            return (marks,)
+        return tuple(marks & (np.arange(2) == camera) for camera in range(2))
+
     def residuals(self, predicted_px: FloatArray) -> FloatArray:
         """Return observed - predicted in standard deviations, (B, R, M, 2, 2); 0 = not found."""
         split = (*self.observed_px.shape[:-1], 2, 2)
@@ -120,16 +141,6 @@ class Problem:
         """Return the rods' deviations in standard deviations, (B, R, f)."""
         deviations: FloatArray = state.deviations[..., self.free_deviations]
         return deviations / self.rod_sigmas
-
-
-def noise_floor_px(target: Target) -> FloatArray:
-    """Return the smallest noise of a mark's u and v that is believed, (2,) px.
-
-    An error common to the M marks of a rod weighs as much as independent errors sqrt(M) as large.
-    """
-    if not target.has_rods:
-        return np.full(2, NOISE_FLOOR_PX)
-    return ROD_ERROR_PX * np.array([np.sqrt(target.shape[1]), 1.0])
 
 
 def minimise(problem: Problem, state: State) -> State:

@@ -18,7 +18,6 @@ from binocular_recon.calibration.adjustment.bundle_adjustment import (
     HUBER,
     Problem,
     minimise,
-    noise_floor_px,
     normal_equations,
     weighted_rows,
 )
@@ -118,9 +117,9 @@ class Fit:
         the robust noise; NaN = not found.
     errors_px : (B, R, M, 2) float64
         The same in px.
-    sigma_px : (2,) float64
-        Noise of u and v from the marks used (variance components).
-    robust_sigma_px : (2,) float64
+    sigma_px : (2,) or (2, 2) float64
+        Noise of u and v from the marks used (variance components), as in `Problem`.
+    robust_sigma_px : (2,) or (2, 2) float64
         Noise of u and v from the median residual of all marks.
     placement_scale : (5,) float64
         Spread of the rods against each stated sigma; 1 where they are exact.
@@ -210,14 +209,19 @@ def judge(problem: Problem, given_px: FloatArray, state: State) -> Fit:
     leverage = np.sum((rows @ joint) * rows, axis=-1).reshape(residuals.shape)
     # a mark that was used pulled the state towards it, another one did not
     variance = np.where(used[..., None], np.maximum(1 - leverage, 0.05), 1 + leverage)
+    shape, floor_px = problem.sigma_px.shape, problem.floor_px
     typical = [
-        np.median(np.abs(residuals[..., axis] / np.sqrt(variance[..., axis]))[seen]) / 0.6745
-        for axis in (0, 1)
+        np.median(np.abs(residuals[group] / np.sqrt(variance[group])), axis=0) / 0.6745
+        for group in problem.sharing(seen)
     ]
-    floor_px = noise_floor_px(problem.target)
-    robust = np.maximum(typical, floor_px / problem.sigma_px)
-    redundancy = variance[used].sum(axis=0)
-    components = np.sqrt((residuals[used] ** 2).sum(axis=0) / redundancy)
+    robust = np.maximum(np.reshape(typical, shape), floor_px / problem.sigma_px)
+    components = np.reshape(
+        [
+            np.sqrt((residuals[group] ** 2).sum(axis=0) / variance[group].sum(axis=0))
+            for group in problem.sharing(used)
+        ],
+        shape,
+    )
     standardised = np.where(seen[..., None], residuals / np.sqrt(variance), np.nan)
     return Fit(
         lengths=np.linalg.norm(standardised / robust, axis=-1),

@@ -86,9 +86,11 @@ def check_order(calibration: StereoCalibration) -> None:
     x, y, _ = calibration.right_centre_m
     if abs(y) > abs(x):
         raise CalibrationError(
-            f'the right camera stands {significant(abs(y))} m above or below the left one and'
-            f' {significant(abs(x))} m beside it; rows can only be matched between cameras side'
-            ' by side'
+            f'the right camera stands {significant(abs(y))} m {"below" if y > 0 else "above"} the'
+            f' left one and {significant(abs(x))} m beside it; this calibration aligns rows, which'
+            ' needs cameras side by side: calibrate this rig with another program, such as OpenCV'
+            ' or Kalibr, and give its file to import-calibration, which takes cameras one above'
+            ' the other'
         )
     if x < 0:
         raise CalibrationError(

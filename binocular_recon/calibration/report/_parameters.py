@@ -13,7 +13,7 @@ from binocular_recon.number_text import significant
 def parameters(result: CalibrationResult) -> str:
     """Return both cameras, their pose and the distortion models that were compared."""
     calibration, sigma = result.calibration, result.sigma
-    K = {'left': calibration.K_left, 'right': calibration.K_right}
+    K = {'left': result.rig.left.K, 'right': result.rig.right.K}
     D = {'left': calibration.D_left, 'right': calibration.D_right}
     rows = []
     for name, place in (('fx', (0, 0)), ('fy', (1, 1)), ('cx', (0, 2)), ('cy', (1, 2))):

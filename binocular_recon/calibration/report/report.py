@@ -60,7 +60,6 @@ def _summary(result: CalibrationResult) -> str:
     calibration, sigma = result.calibration, result.sigma
     depth = _working_depth(result)
     marks = int(np.isfinite(result.adjusted.residuals_px).all(axis=-1).sum())
-    width, height = calibration.image_size
     noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
     cards = (
         (
@@ -72,7 +71,7 @@ def _summary(result: CalibrationResult) -> str:
             f'baseline, ± {significant(1e3 * sigma["baseline_m"], 2)} mm',
         ),
         (
-            f'{calibration.K_left[0, 0]:.0f} / {calibration.K_right[0, 0]:.0f} px',
+            f'{result.rig.left.K[0, 0]:.0f} / {result.rig.right.K[0, 0]:.0f} px',
             f'focal length left / right, ± {significant(sigma["fx_left_px"], 2)} px',
         ),
         (
@@ -81,7 +80,7 @@ def _summary(result: CalibrationResult) -> str:
         ),
         (
             f'{len(result.names)}',
-            f'boards used, {marks} marks in both images, {width}x{height} px',
+            f'boards used, {marks} marks in both images, {result.sizes}',
         ),
     )
     items = ''.join(f'<li><b>{value}</b><span>{label}</span></li>' for value, label in cards)

@@ -14,6 +14,7 @@ from binocular_recon.calibration.session.captures import BoardFiles, find_boards
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import BinocularReconError
 from binocular_recon.images import ByteImage, to_bgr8
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.image_files import read_image_file
 
 # Boards shown at most: those left out first, then evenly chosen ones.
@@ -56,7 +57,15 @@ def _marks(result: CalibrationResult, name: str) -> tuple[FloatArray, FloatArray
     board = result.names.index(name)
     found = result.estimate.problem.observed_px[board].reshape(-1, 4)
     out = np.repeat(result.estimate.outliers[board].reshape(-1, 2), 2, axis=1)
-    return found, np.where(out, result.predicted_px[board].reshape(-1, 4), np.nan)
+    left_out = np.where(out, result.predicted_px[board].reshape(-1, 4), np.nan)
+    return _own(found, result.sizes), _own(left_out, result.sizes)
+
+
+def _own(marks_px: FloatArray, sizes: CommonSize) -> FloatArray:
+    """Return marks (N, 4) px of the common grid as those of the images."""
+    if not sizes.differs:
+        return marks_px
+    return np.column_stack([marks_px[:, :2], sizes.to_right(marks_px[:, 2:])])
 
 
 def _pair(files: BoardFiles, marks: tuple[FloatArray, FloatArray] | None) -> bytes | None:

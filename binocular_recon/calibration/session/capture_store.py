@@ -21,6 +21,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.images import Image
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.files import flush, make_folder
 from binocular_recon.io.image_files import write_image_file
 
@@ -93,12 +94,12 @@ class CaptureStore:
             raise FileError(f'board {name} was not captured: {error}') from error
         return name
 
-    def keep(self, capture: Capture, size: tuple[int, int]) -> None:
+    def keep(self, capture: Capture, sizes: CommonSize) -> None:
         """Take over the marks of a board just added, so that they need not be found again."""
         name = capture.name
         files = BoardFiles(name, self._path('left', name), self._path('right', name))
         with self._reading:
-            self._readings[name] = BoardReading(files, capture, size, '')
+            self._readings[name] = BoardReading(files, capture, sizes, '')
 
     def captures(self) -> CaptureSet:
         """Return the marks of all boards; a second caller waits for what the first one reads.

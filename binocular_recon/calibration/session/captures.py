@@ -18,6 +18,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.mark_types import MarkType
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import BinocularReconError, CalibrationError, FileError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.image_files import read_image_file
 
 SUFFIXES = ('.png', '.tif', '.tiff', '.jpg', '.jpeg', '.bmp', '.pgm', '.ppm')
@@ -43,8 +44,8 @@ class BoardReading:
         Where it came from.
     capture : Capture or None
         The marks; None if the board cannot be used.
-    size : (int, int) or None
-        Width and height of both images, px.
+    sizes : CommonSize or None
+        Sizes of both images.
     reason : str
         Why there is no capture, or which marks are missing.
     mark_type : MarkType or None
@@ -54,7 +55,7 @@ class BoardReading:
 
     files: BoardFiles
     capture: Capture | None
-    size: tuple[int, int] | None
+    sizes: CommonSize | None
     reason: str
     mark_type: MarkType | None = None
 
@@ -67,16 +68,21 @@ class CaptureSet:
     ----------
     captures : tuple of Capture
         Marks of each board.
-    image_size : (int, int)
-        Width and height of every image, px.
+    sizes : CommonSize
+        Sizes of all left and all right images.
     rejected : tuple of Rejected
         Boards whose images cannot be used and why.
 
     """
 
     captures: tuple[Capture, ...]
-    image_size: tuple[int, int]
+    sizes: CommonSize
     rejected: tuple[Rejected, ...]
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the left images, px."""
+        return self.sizes.left
 
 
 def find_boards(folder: Path) -> list[BoardFiles]:
@@ -123,7 +129,7 @@ def _board_files(name: str, sides: dict[str, list[Path]]) -> BoardFiles:
 
 def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
     """Detect the rods in both images of a board; problems are returned, not raised."""
-    pair, sizes = [], []
+    pair, found = [], []
     if files.left is None or files.right is None:
         return BoardReading(files, None, None, files.problem)
     for path in (files.left, files.right):
@@ -136,13 +142,8 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
             # whatever is in one image, the other boards are read
             reason = f'{path} cannot be searched for rods: {error}'
             return BoardReading(files, None, None, reason)
-        sizes.append((image.shape[1], image.shape[0]))
-    if sizes[0] != sizes[1]:
-        reason = (
-            f'the left image is {sizes[0][0]}x{sizes[0][1]} px, the right one'
-            f' {sizes[1][0]}x{sizes[1][1]} px'
-        )
-        return BoardReading(files, None, None, reason)
+        found.append((image.shape[1], image.shape[0]))
+    sizes = CommonSize(*found)
     left, right = pair
     missing = '; '.join(
         f'{side}: {message}'
@@ -151,9 +152,9 @@ def read_board(files: BoardFiles, board: RodBoard) -> BoardReading:
     )
     if not (left.found.any() and right.found.any()):
         mark_type = left.mark_type or right.mark_type
-        return BoardReading(files, None, sizes[0], missing, mark_type)
+        return BoardReading(files, None, sizes, missing, mark_type)
     capture = Capture(files.name, left.marks_px, right.marks_px)
-    return BoardReading(files, capture, sizes[0], missing)
+    return BoardReading(files, capture, sizes, missing)
 
 
 def read_captures(
@@ -211,24 +212,23 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
 
     """
     _check_mark_type(readings, folder)
-    sizes = Counter(reading.size for reading in readings if reading.capture and reading.size)
-    if not sizes:
+    counts = Counter(reading.sizes for reading in readings if reading.capture and reading.sizes)
+    if not counts:
         reasons = '; '.join(f'{reading.files.name}: {reading.reason}' for reading in readings[:3])
-        searched = all(reading.size is not None for reading in readings)
+        searched = all(reading.sizes is not None for reading in readings)
         what = 'no rods were found in any' if searched else 'nothing can be used'
         raise CalibrationError(f'{what} of the {len(readings)} boards of {folder} ({reasons})')
-    size = sizes.most_common(1)[0][0]
+    sizes = counts.most_common(1)[0][0]
     captures, rejected = [], []
     for reading in readings:
         if reading.capture is None:
             rejected.append(Rejected(reading.files.name, reading.reason))
-        elif reading.size != size:
-            assert reading.size is not None
-            reason = '{}x{} px, but most images are {}x{} px'.format(*reading.size, *size)
-            rejected.append(Rejected(reading.files.name, f'its images are {reason}'))
+        elif reading.sizes != sizes:
+            reason = f'its images are {reading.sizes}, but most images are {sizes}'
+            rejected.append(Rejected(reading.files.name, reason))
         else:
             captures.append(reading.capture)
-    return CaptureSet(tuple(captures), size, tuple(rejected))
+    return CaptureSet(tuple(captures), sizes, tuple(rejected))
 
 
 def _check_mark_type(readings: Sequence[BoardReading], folder: Path) -> None:

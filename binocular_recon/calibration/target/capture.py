@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from binocular_recon.camera import FloatArray
+from binocular_recon.inputs.common_size import CommonSize
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,3 +25,7 @@ class Capture:
     name: str
     left_px: FloatArray
     right_px: FloatArray
+
+    def on_common(self, sizes: CommonSize) -> Capture:
+        """Return the marks with those of the right image in pixels of the left one's size."""
+        return replace(self, right_px=sizes.to_common(self.right_px)) if sizes.differs else self

@@ -26,6 +26,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.cli.options import add_output_option, image_size, positive
 from binocular_recon.errors import CalibrationError, ConfigError, plain_text
 from binocular_recon.evaluation.calibration.self_check import self_check
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import peak_bytes
@@ -43,7 +44,7 @@ class _Marks(NamedTuple):
 
     captures: Sequence[Capture]
     target: RodBoard | Target
-    size: tuple[int, int]
+    sizes: CommonSize
     rejected: Sequence[Rejected] = ()
 
 
@@ -64,6 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--image-size', metavar='WxH', help='size of the images that --points were found in'
     )
+    parser.add_argument(
+        '--right-image-size', metavar='WxH',
+        help='that of the right images, if it differs from the left ones',
+    )  # fmt: skip
     parser.add_argument(
         '--lens', default=DEFAULT_LENS, choices=calibrated_lenses(),
         help=f'{lens_text()} (%(default)s)',
@@ -110,9 +115,16 @@ def run(args: argparse.Namespace) -> None:
     if args.check:
         _check_holding(read_rig(args.check), read_marks(args))
         return
-    (captures, target, size, rejected), marks_s = _timed(lambda: read_marks(args))
+    (captures, target, sizes, rejected), marks_s = _timed(lambda: read_marks(args))
     result, solve_s = _timed(
-        lambda: calibrate(captures, target, size, lens=args.lens, rejected=rejected)
+        lambda: calibrate(
+            captures,
+            target,
+            sizes.left,
+            right_size=sizes.right,
+            lens=args.lens,
+            rejected=rejected,
+        )
     )
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
     print(plain_text(summary(result)))
@@ -145,7 +157,7 @@ def summary(result: CalibrationResult) -> str:
         (
             f'baseline {1e3 * calibration.baseline_m:.2f} +-'
             f' {significant(1e3 * sigma["baseline_m"], 2)} mm, focal length'
-            f' {calibration.K_left[0, 0]:.2f} / {calibration.K_right[0, 0]:.2f} +-'
+            f' {result.rig.left.K[0, 0]:.2f} / {result.rig.right.K[0, 0]:.2f} +-'
             f' {significant(sigma["fx_left_px"], 2)} px, stereo RMS {result.rms_px:.4f} px'
         ),
         f'depth sigma: {", ".join(depths)}',
@@ -176,13 +188,15 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError('--rods describes rods in images; --points has its own coordinates')
     if args.captures and args.rods is None:
         raise ConfigError('images of rods need --rods rods.yaml')
+    if args.right_image_size and not args.image_size:
+        raise ConfigError('--right-image-size needs --image-size, that of the left images')
     if args.captures and args.image_size:
         raise ConfigError('--image-size belongs to --points; images have their own size')
 
 
 def _check_holding(rig: StereoRig, marks: _Marks) -> None:
     """Print how well a calibration explains new marks; raise a CalibrationError if it does not."""
-    holding = check_holding(rig, marks.captures, marks.target, marks.size)
+    holding = check_holding(rig, marks.captures, marks.target, marks.sizes.left, marks.sizes.right)
     for board in (*marks.rejected, *holding.left_out):
         print(f'left out: {board.name}: {board.reason}')
     print(f'{holding.boards} boards, {holding.marks} marks: {holding}')
@@ -210,7 +224,7 @@ def _detect_marks(args: argparse.Namespace) -> _Marks:
             bar.show(len(done), reading.reason)
 
         found = read_captures(args.captures, board, on_progress)
-    return _Marks(found.captures, board, found.image_size, found.rejected)
+    return _Marks(found.captures, board, found.sizes, found.rejected)
 
 
 def _read_points(args: argparse.Namespace) -> _Marks:
@@ -220,13 +234,14 @@ def _read_points(args: argparse.Namespace) -> _Marks:
     if len(table.left_out) > _MOST_NAMED:
         print(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
     if args.image_size is None:
-        size = table.least_size
+        size = right_size = table.least_size
         print(
             'image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size)
         )
     else:
         size = image_size(args.image_size)
-    return _Marks(table.captures, table.target, size)
+        right_size = image_size(args.right_image_size) if args.right_image_size else size
+    return _Marks(table.captures, table.target, CommonSize(size, right_size))
 
 
 def _timed(job: Callable[[], _Result]) -> tuple[_Result, float]:

@@ -103,7 +103,7 @@ class StereoBag:
         pairing: PairingOptions | None = None,
     ) -> None:
         self._bag, self._rig, self._rectified = bag, rig, topics.rectified
-        self._size: tuple[int, int] | None = None
+        self._sizes: tuple[tuple[int, int] | None, tuple[int, int] | None] = (None, None)
         recorded = {topic.name: topic for topic in bag.topics}
         self._images = [recorded[name] for name in topics.images]
         self._infos = [recorded[name] for name in topics.infos or ()] if rig is None else []
@@ -202,12 +202,18 @@ class StereoBag:
 
     def _rig_of(self, infos: tuple[Any, ...]) -> StereoRig:
         """Return the rig of camera infos; sizes that they do not state are those of an image."""
-        if self._size is None and not all(map(states_size, infos)):
-            message = next((found[1] for found in self._decoded(self._images[:1])), None)
-            if message is not None:
-                height, width = read_image(message, 'left image').image.shape[:2]
-                self._size = width, height
-        return rig_from_messages(*infos, size=self._size, rectified=self._rectified)
+        if self._sizes == (None, None) and not all(map(states_size, infos)):
+            self._sizes = self._size_of(0), self._size_of(1)
+        left, right = self._sizes
+        return rig_from_messages(*infos, size=left, right_size=right, rectified=self._rectified)
+
+    def _size_of(self, side: int) -> tuple[int, int] | None:
+        """Return the size of the first left (0) or right image, None if there is none."""
+        message = next((found[1] for found in self._decoded([self._images[side]])), None)
+        if message is None:
+            return None
+        height, width = read_image(message, f'{("left", "right")[side]} image').image.shape[:2]
+        return width, height
 
     def _changed_rig(self, infos: tuple[Any, ...]) -> StereoRig | None:
         try:

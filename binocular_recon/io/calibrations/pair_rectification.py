@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 
 from binocular_recon.camera import Camera, FloatArray
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.calibrations.values import pose_of
 
 # With alpha 0, OpenCV enlarges images of strongly distorting lenses without bounds.
@@ -82,6 +84,10 @@ def rectify_pair(left: Camera, right: Camera, pose: FloatArray) -> Rectification
         If OpenCV cannot rectify them.
 
     """
+    sizes = CommonSize(left.size, right.size)
+    if sizes.differs:  # both rectified images have the size of the left one
+        width, height = left.size
+        right = dataclasses.replace(right, width=width, height=height, K=sizes.matrix @ right.K)
     done = _rectified_already(left, right, pose)
     if done is not None:
         return done

@@ -72,15 +72,21 @@ def camera_from_message(
 
 
 def rig_from_messages(
-    left: Any, right: Any, *, size: tuple[int, int] | None = None, rectified: bool = False
+    left: Any,
+    right: Any,
+    *,
+    size: tuple[int, int] | None = None,
+    right_size: tuple[int, int] | None = None,
+    rectified: bool = False,
 ) -> StereoRig:
     """Return the rig of two CameraInfos; a CalibrationError names the camera at fault.
 
-    ``size`` and ``rectified`` are those of `camera_from_message`.
+    ``size`` and ``rectified`` are those of `camera_from_message`; ``right_size`` is that of the
+    right images, where they differ from the left ones.
     """
     cameras = (
-        camera_from_message(info, f'{side} camera', size=size, rectified=rectified)
-        for side, info in (('left', left), ('right', right))
+        camera_from_message(info, f'{side} camera', size=image_size, rectified=rectified)
+        for side, info, image_size in (('left', left, size), ('right', right, right_size or size))
     )
     return StereoRig(*cameras)
 

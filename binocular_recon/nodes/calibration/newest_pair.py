@@ -10,20 +10,22 @@ from dataclasses import dataclass, field
 
 from binocular_recon.errors import CalibrationError
 from binocular_recon.images import Image
+from binocular_recon.inputs.common_size import CommonSize
 
 
 @dataclass(frozen=True, eq=False)
 class ImagePair:
-    """Two images (H, W) or (H, W, C) of one size, taken at the same time."""
+    """Two images (H, W) or (H, W, C) taken at the same time."""
 
     left: Image
     right: Image
     arrived_s: float = field(default_factory=time.monotonic)
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, px."""
-        return self.left.shape[1], self.left.shape[0]
+    def sizes(self) -> CommonSize:
+        """Sizes of both images."""
+        left, right = ((image.shape[1], image.shape[0]) for image in (self.left, self.right))
+        return CommonSize(left, right)
 
 
 class NewestPair:

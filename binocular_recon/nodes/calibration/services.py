@@ -21,6 +21,7 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import BinocularReconError, CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.measurement.check_distance import check_distances
 from binocular_recon.nodes.calibration.newest_pair import NewestPair
 from binocular_recon.nodes.calibration.steps import (
@@ -114,18 +115,18 @@ class CalibrationServices:
             found = detect_pair(pair, self._board)
             capture = Capture('new', found[0].marks_px, found[1].marks_px)
             missing = describe_missing_marks(found)
-            reason = self._rejection_reason(capture, pair.size, stored)
+            reason = self._rejection_reason(capture, pair.sizes, stored)
             if reason:
                 raise CalibrationError(f'not captured: {reason}{missing}')
             later = self.pairs.wait_for_next(pair, _STILL_WITHIN_S)
             remark = check_still(pair, capture, later, self._board)
             name = self._store.add(pair.left, pair.right)
-            self._store.keep(Capture(name, capture.left_px, capture.right_px), pair.size)
+            self._store.keep(Capture(name, capture.left_px, capture.right_px), pair.sizes)
             self.pairs.mark_captured(pair)
             count = len(self._store.names)
             self._on_state('boards', str(count))
             both = found[0].found & found[1].found
-            holding = describe_holding(self._rig_in_use, capture, pair.size, self._board)
+            holding = describe_holding(self._rig_in_use, capture, pair.sizes, self._board)
             return (
                 f'board {name} captured ({count} so far): {both.sum()} of {both.size} marks in'
                 f' both images{missing}{holding}{remark}'
@@ -160,7 +161,8 @@ class CalibrationServices:
             result = calibrate(
                 found.captures,
                 self._board,
-                found.image_size,
+                found.sizes.left,
+                right_size=found.sizes.right,
                 lens=self._lens,
                 rejected=found.rejected,
             )
@@ -179,8 +181,9 @@ class CalibrationServices:
             )
         pair = self.pairs.take(self._explain_silence)
         found = detect_pair(pair, self._board)
-        if pair.size != rig.left.size:
-            raise CalibrationError(describe_size_change(pair.size, rig.left.size))
+        calibrated = CommonSize(rig.left.size, rig.right.size)
+        if pair.sizes != calibrated:
+            raise CalibrationError(describe_size_change(pair.sizes, calibrated))
         capture = Capture('now', found[0].marks_px, found[1].marks_px)
         (distance,) = check_distances(rig, [capture], self._target)
         if not distance.passed:
@@ -207,13 +210,18 @@ class CalibrationServices:
             return f'saved in {self._output}: {len(used)} of {len(stored)} boards; {sent}'
 
     def _rejection_reason(
-        self, capture: Capture, size: tuple[int, int], stored: CaptureSet | None
+        self, capture: Capture, sizes: CommonSize, stored: CaptureSet | None
     ) -> str | None:
         """Return why a capture cannot be used with the stored boards, None if it can."""
-        if stored is None:
-            return rejection_reason(capture, self._target, size, (), self._lens)
-        return describe_size_change(size, stored.image_size) or rejection_reason(
-            capture, self._target, size, stored.captures, self._lens
+        if stored is not None and (change := describe_size_change(sizes, stored.sizes)):
+            return change
+        others = () if stored is None else stored.captures
+        return rejection_reason(
+            capture.on_common(sizes),
+            self._target,
+            sizes.left,
+            [other.on_common(sizes) for other in others],
+            self._lens,
         )
 
 

@@ -13,6 +13,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.number_text import significant
 
@@ -60,14 +61,14 @@ def check_still(
     raise CalibrationError(f'not captured: {finding}; wait until rods and cameras stand still')
 
 
-def describe_size_change(size: tuple[int, int], stored: tuple[int, int]) -> str:
+def describe_size_change(sizes: CommonSize, stored: CommonSize) -> str:
     """Say that images differ in size from those of earlier boards, '' if they do not."""
-    if size == stored:
+    if sizes == stored:
         return ''
     return (
-        'the images are {}x{} px, those of earlier boards {}x{} px; restore the camera settings,'
+        f'the images are {sizes}, those of earlier boards {stored}; restore the camera settings,'
         ' or reset and start again'
-    ).format(*size, *stored)
+    )
 
 
 def describe_missing_marks(found: tuple[Detection, Detection]) -> str:
@@ -81,13 +82,13 @@ def describe_missing_marks(found: tuple[Detection, Detection]) -> str:
 
 
 def describe_holding(
-    rig: StereoRig | None, capture: Capture, size: tuple[int, int], board: RodBoard
+    rig: StereoRig | None, capture: Capture, sizes: CommonSize, board: RodBoard
 ) -> str:
     """Say how well the calibration in use explains the marks, '' if there is none."""
     if rig is None:
         return ''
     try:
-        holding = check_holding(rig, [capture], board, size)
+        holding = check_holding(rig, [capture], board, sizes.left, sizes.right)
     except CalibrationError as error:
         return f'; the calibration in use cannot be checked: {error}'
     return '; '.join(['', f'with the calibration in use, {holding}', *holding.faults])

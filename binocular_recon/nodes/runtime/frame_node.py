@@ -107,18 +107,19 @@ class FrameNode(BaseNode):
         return self.wanted(*self._outputs)
 
     def rig(
-        self, left_info: Any, right_info: Any, image: Any, *, rectified: bool = False
+        self, left_info: Any, right_info: Any, left: Any, right: Any, *, rectified: bool = False
     ) -> StereoRig:
         """Return the rig of two CameraInfos; it is made again only when they change.
 
-        The size of ``image``, an array, is that of infos which state none. Of ``rectified`` images
-        only P counts.
+        The sizes of the arrays ``left`` and ``right`` are those of infos which state none. Of
+        ``rectified`` images only P counts.
         """
-        size = image.shape[1], image.shape[0]
-        key = calibration_content(left_info), calibration_content(right_info), size
+        size, right_size = left.shape[1::-1], right.shape[1::-1]
+        key = calibration_content(left_info), calibration_content(right_info), size, right_size
         if self._rig is None or self._rig[0] != key:
             self._rig = None
-            rig = rig_from_messages(left_info, right_info, size=size, rectified=rectified)
+            sizes = {'size': size, 'right_size': right_size}
+            rig = rig_from_messages(left_info, right_info, **sizes, rectified=rectified)
             self._rig = key, rig
             self.report_rig(rig)
         self.warn_of_rig(self._rig[1])

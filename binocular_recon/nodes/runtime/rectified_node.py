@@ -47,7 +47,7 @@ class RectifiedNode(FrameNode):
 
     def rectified_rig(self, left_info: Any, right_info: Any, image: Any) -> StereoRig:
         """Return the rig of two CameraInfos of rectified images, the left one an array."""
-        rig = self.rig(left_info, right_info, image, rectified=True)
+        rig = self.rig(left_info, right_info, image, image, rectified=True)
         in_use = self.resolve_topic_name(self._info_topic)
         other = self.resolve_topic_name(f'left/{_OF_RECTIFIER}')
         if other != in_use and _is_raw(left_info) and self.count_publishers(other):

@@ -74,9 +74,12 @@ class RectifyStage:
 
     def __call__(self, left: Image, right: Image, *infos: CameraInfo) -> RectifiedPair:
         """Return the rectified pair of two images and, unless `calibrated`, their infos."""
-        size = self._fixed_rig.left.size if self._fixed_rig else None
-        images = read_image(left, 'left image', size), read_image(right, 'right image', size)
-        rig = self._fixed_rig or self._node.rig(infos[0], infos[1], images[0].image)
+        fixed = self._fixed_rig
+        images = (
+            read_image(left, 'left image', fixed.left.size if fixed else None),
+            read_image(right, 'right image', fixed.right.size if fixed else None),
+        )
+        rig = fixed or self._node.rig(infos[0], infos[1], *(image.image for image in images))
         if self._fixed_rig:
             self._node.warn_of_rig(rig)
         rectifier = self._rectifier(rig)

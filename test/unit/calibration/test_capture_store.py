@@ -15,6 +15,7 @@ from binocular_recon.calibration.session.captures import BoardFiles, BoardReadin
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.rods import paper_board
 
@@ -46,7 +47,7 @@ def test_board_half_written_before_a_crash_does_not_count(tmp_path: Path) -> Non
     assert again.add(IMAGE, IMAGE) == '002'
     assert (tmp_path / 'right_001.png').exists()
     marks = RNG.uniform(0, 40, (BOARD.count, BOARD.marks_per_rod, 2))
-    again.keep(Capture('002', marks, marks), (60, 40))
+    again.keep(Capture('002', marks, marks), CommonSize((60, 40), (60, 40)))
     found = again.captures()
     assert [capture.name for capture in found.captures] == ['002']
     assert [(one.name, one.reason) for one in found.rejected] == [
@@ -97,7 +98,9 @@ def test_stored_boards_are_read_on_all_cores_once_until_stopped(
         if not files.problem:
             together.wait(10)
         read.append(files.name)
-        return BoardReading(files, Capture(files.name, marks, marks), (60, 40), '')
+        return BoardReading(
+            files, Capture(files.name, marks, marks), CommonSize((60, 40), (60, 40)), ''
+        )
 
     monkeypatch.setattr(captures, 'read_board', read_board)
     monkeypatch.setattr(captures, 'thread_count', lambda: 2)
@@ -121,7 +124,7 @@ def test_marks_of_a_board_just_captured_are_not_found_again(tmp_path: Path) -> N
     store = CaptureStore(tmp_path, BOARD)
     name = store.add(IMAGE, IMAGE)
     marks = RNG.uniform(0, 40, (BOARD.count, BOARD.marks_per_rod, 2))
-    store.keep(Capture(name, marks, marks), (60, 40))
+    store.keep(Capture(name, marks, marks), CommonSize((60, 40), (60, 40)))
     found = store.captures()
     np.testing.assert_array_equal(found.captures[0].left_px, marks)
     assert found.image_size == (60, 40)

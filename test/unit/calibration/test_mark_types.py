@@ -28,6 +28,7 @@ from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_ro
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.calibration.detection import score_capture, summarise_scores
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.simulation.capture import mixed_options, simulate_capture
 from binocular_recon.simulation.rods import paper_board
@@ -170,7 +171,7 @@ def reading(name: str, *, read: bool, other: MarkType | None = None) -> BoardRea
     marks = np.zeros((5, 6, 2))
     capture = Capture(name, marks, marks) if read else None
     reason = '' if read else f'left: {SAYS_LIGHT}'
-    return BoardReading(files, capture, (1920, 1200), reason, other)
+    return BoardReading(files, capture, CommonSize((1920, 1200), (1920, 1200)), reason, other)
 
 
 def test_boards_that_fit_either_type_are_refused_with_those_that_do_not(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def test_a_capture_takes_the_newest_pair_once() -> None:
         pairs.take(lambda: 'no messages on left')
     first, second = pair(), pair()
     pairs.put(first)
-    assert pairs.take(no_silence) is first and first.size == (6, 4)
+    assert pairs.take(no_silence) is first and first.sizes.left == (6, 4)
     pairs.mark_captured(first)
     with pytest.raises(CalibrationError, match=r'since the last capture; wait for the next one'):
         pairs.take(no_silence)

@@ -9,6 +9,7 @@ import pytest
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.errors import CalibrationError
+from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.nodes.calibration.steps import (
     check_still,
@@ -45,10 +46,11 @@ def test_rods_count_as_still_only_if_they_are_found_again_in_the_same_place() ->
 
 
 def test_images_must_keep_their_size() -> None:
-    assert describe_size_change((960, 600), (960, 600)) == ''
-    assert describe_size_change((480, 300), (960, 600)) == (
-        'the images are 480x300 px, those of earlier boards 960x600 px; restore the camera'
-        ' settings, or reset and start again'
+    alike, small = CommonSize((960, 600), (960, 600)), CommonSize((960, 600), (480, 300))
+    assert describe_size_change(alike, alike) == ''
+    assert describe_size_change(small, alike) == (
+        'the images are 960x600 and 480x300 px, those of earlier boards 960x600 px; restore the'
+        ' camera settings, or reset and start again'
     )
 
 
