@@ -110,7 +110,7 @@ class _Cache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-            _kept.append(self._name)
+            _kept.append(str(sig))
         except OSError as error:
             _problems.append(
                 f'compiled kernels cannot be kept in {self._cache_path}: {error.strerror}; every'

@@ -221,11 +221,11 @@ def capture_set(readings: Sequence[BoardReading], folder: Path) -> CaptureSet:
     sizes = counts.most_common(1)[0][0]
     captures, rejected = [], []
     for reading in readings:
-        if reading.capture is None:
-            rejected.append(Rejected(reading.files.name, reading.reason))
-        elif reading.sizes != sizes:
+        if reading.sizes not in (None, sizes):
             reason = f'its images are {reading.sizes}, but most images are {sizes}'
             rejected.append(Rejected(reading.files.name, reason))
+        elif reading.capture is None:
+            rejected.append(Rejected(reading.files.name, reading.reason))
         else:
             captures.append(reading.capture)
     return CaptureSet(tuple(captures), sizes, tuple(rejected))

@@ -42,7 +42,6 @@ POSE = Pose(R, T).matrix
         (put('cam1', 'T_cn_cnm1', value=None), 'pose of cam1 is missing.*T_cn_cnm1'),
         (put('cam0', 'resolution', value=None), r'cam0: the image size is missing.*--image-size'),
         (put('cam0', 'resolution', value=[752.5, 480]), 'is 752.5x480 px, it must be two whole'),
-        (put('cam1', 'resolution', value=[640, 480]), 'left camera is 752x480, right is 640x480'),
         (put('cam0', 'camera_model', value='omni'), "camera model 'omni' is not read, only pinh"),
         (put('cam0', 'camera_model', value='ds'), "camera model 'ds' is not read"),
         (put('cam0', 'camera_model', value='eucm'), "camera model 'eucm' is not read"),
