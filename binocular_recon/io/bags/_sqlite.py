@@ -18,6 +18,9 @@ _NO_TEXT = "SELECT 1 FROM topics WHERE typeof(name) <> 'text' OR typeof(type) <>
 _TOPICS = (
     "SELECT id, coalesce(CAST(name AS TEXT), ''), coalesce(CAST(type AS TEXT), '') FROM topics"
 )
+_NO_TOPIC = """
+    SELECT 1 FROM messages WHERE topic_id IS NULL OR topic_id NOT IN (SELECT id FROM topics)
+"""
 # By rowid, in the order of the pages: the index on the timestamps may be lost.
 _MESSAGES = """
     SELECT topic_id, coalesce(CAST(timestamp AS INTEGER), 0), coalesce(CAST(data AS BLOB), x'')
@@ -85,17 +88,28 @@ def check_tables(path: Path) -> None:
                 )
         if database.execute(_NO_TEXT).fetchone():
             raise sqlite3.DataError('the name or type of a topic is no text')
+        if database.execute(_NO_TOPIC).fetchone():
+            raise sqlite3.DataError('messages belong to no topic')
 
 
 def scan_tables(path: Path) -> Iterator[tuple[str, str, str, int, bytes]]:
-    """Yield topic, type, definition (empty), time and bytes of each message."""
+    """Yield topic, type, definition (empty), time and bytes of each message.
+
+    Raises one of `DAMAGE` where the file is damaged, after the last message if some belong to no
+    topic.
+    """
     with closing(_connect(path)) as database:
         # Without this, SQLite refuses a file shorter than its first page says.
         database.execute('PRAGMA writable_schema=ON')
         topics = {row[0]: row[1:] for row in database.execute(_TOPICS)}
+        lost = 0
         for topic_id, stamp_ns, data in database.execute(_MESSAGES):
-            name, msgtype = topics[topic_id]
-            yield name, msgtype, '', stamp_ns, data
+            if topic_id in topics:
+                yield *topics[topic_id], '', stamp_ns, data
+            else:
+                lost += 1
+        if lost:
+            raise sqlite3.DataError(f'messages of no topic: {lost}')
 
 
 def _connect(path: Path) -> sqlite3.Connection:

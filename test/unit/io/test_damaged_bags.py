@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import re
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +175,15 @@ def test_a_damaged_message_is_a_bag_error() -> None:
     for cdr in (b'', b'\0\1\0\0', b'\0\1\0\0' + bytes(20), bytes(range(200))):
         with pytest.raises(BagError, match='message is damaged'):
             decode('sensor_msgs/msg/Image', cdr)
+
+
+@pytest.mark.parametrize('topic_id', [99, 'left'])
+def test_messages_of_no_topic_are_said(tmp_path: Path, topic_id: object) -> None:
+    path = write_bag(tmp_path / 'bag', stereo_records(2), 'sqlite3')
+    with Bag(path) as bag:
+        whole = len(list(bag.messages()))
+    with closing(sqlite3.connect(data_file(path))) as database, database:
+        database.execute('UPDATE messages SET topic_id = ? WHERE id = 2', (topic_id,))
+    with Bag(path) as bag:
+        assert len(list(bag.messages())) == whole - 1
+        assert len(bag.damage) == 1 and 'messages of no topic: 1' in bag.damage[0]
