@@ -109,7 +109,7 @@ def stored_frames(folder: Path, placement: Placement | None = None) -> Iterator[
             yield StoredFrame(folder, int(frame['index']), geometry, thinned, placement)
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror}; {_REMEDY}') from error
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise FileError(f'{path} is damaged or of another version; {_REMEDY}') from error
 
 
