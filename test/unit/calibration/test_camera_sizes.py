@@ -28,6 +28,8 @@ from binocular_recon.simulation.rig import RawRig, survey_rig
 from binocular_recon.simulation.rods import draw_board, paper_board
 from binocular_recon.stereo.rectification import Rectifier, rectified_points
 
+pytestmark = pytest.mark.long
+
 BOARD = paper_board()
 DEPTH_M = 15.0
 

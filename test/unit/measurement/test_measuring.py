@@ -51,6 +51,7 @@ def test_sources_that_values_share_cancel() -> None:
     assert both.covariance == pytest.approx(np.array([[18.0, 9.0], [9.0, 25.0]]))
 
 
+@pytest.mark.long
 def test_lengths_are_off_by_as_much_as_stated() -> None:
     """Four calibrations, matches and picks, each off by what its sigma says."""
     ratios = []

@@ -67,6 +67,7 @@ def control_of(
     return points, control
 
 
+@pytest.mark.long
 def test_check_points_are_off_by_as_much_as_stated() -> None:
     """Four control points of 5 mm; the check points' errors are shared by those of the tie."""
     ratios: list[float] = []
