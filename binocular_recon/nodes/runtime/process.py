@@ -123,12 +123,12 @@ def saying_progress(logger: Any) -> Iterator[None]:
     done = threading.Event()
 
     def say() -> None:
-        begun_s = time.monotonic()
+        begun_s, before = time.monotonic(), compiled_count()
         while not done.wait(_PROGRESS_EVERY_S):
             text = (
-                f'compiling kernels: {compiled_count()} after {time.monotonic() - begun_s:.0f} s;'
-                ' the first start takes up to half a minute, unless binocular-recon warm-up ran'
-                ' at the installation'
+                f'compiling kernels: {compiled_count() - before} after'
+                f' {time.monotonic() - begun_s:.0f} s; the first start takes up to half a minute,'
+                ' unless binocular-recon warm-up ran at the installation'
             )
             logger.info(text)
 
