@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import traceback
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -26,8 +27,9 @@ from binocular_recon.measurement.results import Measurement
 from binocular_recon.measurement.session import MeasuringSession
 from binocular_recon.nodes.runtime.base_node import BaseNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
-from binocular_recon.nodes.runtime.options import CalibrationOptions, MeasuringOptions
+from binocular_recon.nodes.runtime.options import CalibrationOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.options import Options, option
 from binocular_recon.stereo.point_covariance import sigma_shares
 
 try:
@@ -38,6 +40,20 @@ except ImportError:  # there it is not installed, results come without markers
 _LINE_M, _TEXT_M = 0.02, 0.2
 # Published besides OUTPUTS where its type is installed, as a MarkerArray.
 _MARKERS = 'measurement_markers'
+
+
+@dataclass(frozen=True)
+class MeasuringOptions(Options):
+    """What is measured between clicked points."""
+
+    kind: str = option('distance', 'What is measured', choices=tuple(KINDS))
+    pick_sigma: float = option(
+        1.0,
+        'One standard deviation of a click on each axis',
+        unit='px',
+        minimum=0.01,
+        maximum=100.0,
+    )
 
 
 class MeasureNode(BaseNode):

@@ -12,7 +12,6 @@ from binocular_recon.calibration.model import DEFAULT_LENS, calibrated_lenses, l
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import PairingOptions
-from binocular_recon.measurement.kinds import KINDS
 from binocular_recon.options import Options, option
 
 
@@ -162,20 +161,6 @@ class CalibrationOptions(Options):
         "Folder with left.yaml and right.yaml to use instead of the cameras' own camera infos,"
         ' and calibration.json with their covariance for sigma; or the calibration of another'
         ' program; empty: use the camera infos',
-    )
-
-
-@dataclass(frozen=True)
-class MeasuringOptions(Options):
-    """What is measured between clicked points."""
-
-    kind: str = option('distance', 'What is measured', choices=tuple(KINDS))
-    pick_sigma: float = option(
-        1.0,
-        'One standard deviation of a click on each axis',
-        unit='px',
-        minimum=0.01,
-        maximum=100.0,
     )
 
 
