@@ -80,6 +80,11 @@ class IntactSource:
         ]
         self.definitions = {x.msgtype: x.msgdef.data for x in recorded}
 
+    @property
+    def complete(self) -> bool:
+        """Whether every message of the file belongs to a topic; the others are not read."""
+        return self._reader.message_count <= sum(topic.message_count for topic in self.connections)
+
     def messages(self, topics: Collection[Topic]) -> Iterator[Message]:
         by_key = {(topic.name, topic.msgtype): topic for topic in topics}
         wanted = [x for x in self._reader.connections if (x.topic, x.msgtype) in by_key]

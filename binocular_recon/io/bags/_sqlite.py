@@ -18,9 +18,6 @@ _NO_TEXT = "SELECT 1 FROM topics WHERE typeof(name) <> 'text' OR typeof(type) <>
 _TOPICS = (
     "SELECT id, coalesce(CAST(name AS TEXT), ''), coalesce(CAST(type AS TEXT), '') FROM topics"
 )
-_NO_TOPIC = """
-    SELECT 1 FROM messages WHERE topic_id IS NULL OR topic_id NOT IN (SELECT id FROM topics)
-"""
 # By rowid, in the order of the pages: the index on the timestamps may be lost.
 _MESSAGES = """
     SELECT topic_id, coalesce(CAST(timestamp AS INTEGER), 0), coalesce(CAST(data AS BLOB), x'')
@@ -88,8 +85,6 @@ def check_tables(path: Path) -> None:
                 )
         if database.execute(_NO_TEXT).fetchone():
             raise sqlite3.DataError('the name or type of a topic is no text')
-        if database.execute(_NO_TOPIC).fetchone():
-            raise sqlite3.DataError('messages belong to no topic')
 
 
 def scan_tables(path: Path) -> Iterator[tuple[str, str, str, int, bytes]]:

@@ -234,7 +234,10 @@ class Bag(AbstractContextManager['Bag']):
             check_tables(path)
             if not journal:  # which rosbags would leave out
                 with suppress(Exception):  # as above
-                    return IntactSource(path)
+                    source = IntactSource(path)
+                    if source.complete:
+                        return source
+                    source.close()
         return DamagedSource(path, note=self._note_damage)
 
     def _temporary_folder(self) -> Path:
