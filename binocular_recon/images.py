@@ -149,6 +149,23 @@ def to_bgr8(image: Image, levels: Levels | None = None) -> npt.NDArray[np.uint8]
     return bgr
 
 
+def window_mean(image: FloatImage, side: int) -> FloatImage:
+    """Return the mean of the ``side`` x ``side`` window around each pixel of an image (H, W)."""
+    mean: FloatImage = cv2.blur(image, (side, side), borderType=cv2.BORDER_REFLECT_101)
+    return mean
+
+
+def window_range(image: FloatImage, side: int) -> tuple[FloatImage, FloatImage]:
+    """Return the smallest and the largest finite value of the window around each pixel.
+
+    Of an image (H, W); the smallest is above the largest where the window has none.
+    """
+    known, window = np.isfinite(image), np.ones((side, side), np.uint8)
+    smallest = cv2.erode(np.where(known, image, np.float32(np.inf)), window)
+    largest = cv2.dilate(np.where(known, image, np.float32(-np.inf)), window)
+    return np.asarray(smallest, np.float32), np.asarray(largest, np.float32)
+
+
 def _check(image: Image) -> int:
     """Return the number of channels of an accepted image."""
     channels = 1 if image.ndim == 2 else image.shape[-1]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.evaluation.accuracy.scenes import TruthScene
-from binocular_recon.images import FloatImage, Mask, to_grey
+from binocular_recon.images import FloatImage, Mask, to_grey, window_mean, window_range
 
 # In this order: a pixel belongs to the first class that fits.
 CLASSES = (
@@ -102,22 +102,14 @@ def class_errors(
 
 
 def _beside_step(truth: FloatImage) -> Mask:
-    known = np.isfinite(truth)
-    window = np.ones((2 * _EDGE_REACH_PX + 1,) * 2, np.uint8)
-    largest = cv2.dilate(np.where(known, truth, np.float32(-np.inf)), window)
-    smallest = cv2.erode(np.where(known, truth, np.float32(np.inf)), window)
+    smallest, largest = window_range(truth, 2 * _EDGE_REACH_PX + 1)
     with np.errstate(invalid='ignore'):
         return np.asarray(np.maximum(largest - truth, truth - smallest) > _EDGE_STEP_PX)
 
 
-def _mean(image: FloatImage, side: int) -> FloatImage:
-    mean: FloatImage = cv2.blur(image, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    return mean
-
-
 def _deviation(grey: FloatImage, side: int) -> FloatImage:
     centred = (grey - np.float32(np.nanmean(grey))).astype(np.float32)
-    variance = _mean(centred * centred, side) - _mean(centred, side) ** 2
+    variance = window_mean(centred * centred, side) - window_mean(centred, side) ** 2
     deviation: FloatImage = np.sqrt(np.maximum(variance, 0))
     return deviation
 
@@ -126,11 +118,11 @@ def _repeats(grey: FloatImage, disparity_range: int) -> Mask:
     """Return where the image correlates well with another place of the row within the range."""
     side, width = _REPEAT_SIDE, grey.shape[1]
     centred = (grey - np.float32(np.nanmean(grey))).astype(np.float32)
-    mean, deviation = _mean(centred, side), np.maximum(_deviation(grey, side), 1e-3)
+    mean, deviation = window_mean(centred, side), np.maximum(_deviation(grey, side), 1e-3)
     hit = np.zeros(grey.shape, bool)
     for shift in range(_LEAST_SHIFT_PX, min(disparity_range, _MOST_SHIFT_PX, width - side)):
         here, there = np.s_[:, shift:], np.s_[:, : width - shift]
-        product = _mean(np.ascontiguousarray(centred[here] * centred[there]), side)
+        product = window_mean(np.ascontiguousarray(centred[here] * centred[there]), side)
         score = (product - mean[here] * mean[there]) / (deviation[here] * deviation[there])
         alike = score > _REPEAT_SCORE
         # near the borders the product sees other pixels than mean and deviation

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from binocular_recon.evaluation.accuracy.metrics import Accuracy, accuracy
-from binocular_recon.images import FloatImage, Mask
+from binocular_recon.images import FloatImage, Mask, window_range
 
 # Multiples of sigma, within which 68.3, 95.4 and 99.7 % of normally distributed errors lie.
 SIGMAS = (1, 2, 3)
@@ -87,12 +86,9 @@ def flying_pixels(disparity_px: FloatImage, truth_px: FloatImage) -> tuple[Mask,
         and farther than `FLYING_PX` from each.
 
     """
-    known = np.isfinite(truth_px)
     side = 2 * FLYING_REACH_PX + 1
-    window = np.ones((side, side), np.uint8)
-    near = np.isfinite(disparity_px) & (cv2.dilate(known.view(np.uint8), window) > 0)
-    largest = cv2.dilate(np.where(known, truth_px, np.float32(-np.inf)), window)
-    smallest = cv2.erode(np.where(known, truth_px, np.float32(np.inf)), window)
+    smallest, largest = window_range(truth_px, side)
+    near = np.isfinite(disparity_px) & (smallest <= largest)
     between = near & (disparity_px > smallest + FLYING_PX) & (disparity_px < largest - FLYING_PX)
     row, column = np.nonzero(between)
     padded = np.pad(truth_px, FLYING_REACH_PX, constant_values=np.nan)

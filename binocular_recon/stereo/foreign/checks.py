@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import ByteImage, FloatImage, Mask
+from binocular_recon.images import FloatImage, Mask, window_mean
 from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.matching.matcher import SUBPIXEL_STEP_PX, Match
 from binocular_recon.stereo.validity import Validity
@@ -76,19 +76,15 @@ def check_disparity(
         difference = np.abs(_moved(right_disparity_px, partner, cv2.INTER_NEAREST) - disparity)
         conflict |= ~(difference <= config.disp12_max_diff)
         variance += (DIFFERENCE_FACTOR * np.nan_to_num(difference)) ** 2
-    _reject(validity, conflict, Validity.CONFLICT)
-    _reject(validity, ~np.isfinite(disparity), Validity.AMBIGUOUS)
-    _reject(validity, outside, Validity.AT_LIMIT)
-    _reject(validity, np.isnan(left) | (~seen & ~out_of_view & ~outside), Validity.NO_DATA)
+    validity[conflict] = Validity.CONFLICT
+    validity[~np.isfinite(disparity)] = Validity.AMBIGUOUS
+    validity[outside] = Validity.AT_LIMIT
+    validity[np.isnan(left) | (~seen & ~out_of_view & ~outside)] = Validity.NO_DATA
     rejected = validity != Validity.MEASURED
     sigma = np.where(rejected, np.nan, np.sqrt(variance)).astype(np.float32)
     return Match(
         np.where(rejected, np.float32(np.nan), disparity), confidence_from_sigma(sigma), validity
     )
-
-
-def _reject(validity: ByteImage, where: Mask, reason: Validity) -> None:
-    validity[where] = reason
 
 
 def _agreement(
@@ -101,13 +97,13 @@ def _agreement(
     moved = _moved(right, partner, cv2.INTER_LINEAR)
     seen = np.isfinite(moved)
     known = (np.isfinite(left) & seen).astype(np.float32)
-    weight = np.maximum(_mean(known, side), 1e-6)
+    weight = np.maximum(window_mean(known, side), 1e-6)
     centre = np.float32(np.nanmean(left)) if np.isfinite(left).any() else np.float32(0)
     a, b = (np.where(known > 0, image - centre, 0).astype(np.float32) for image in (left, moved))
 
     def covariance(first: FloatImage, second: FloatImage) -> FloatImage:
-        means = _mean(first, side) * _mean(second, side) / weight**2
-        value: FloatImage = _mean(first * second, side) / weight - means
+        means = window_mean(first, side) * window_mean(second, side) / weight**2
+        value: FloatImage = window_mean(first * second, side) / weight - means
         return value
 
     own = np.maximum(covariance(a, a), 0)
@@ -131,8 +127,3 @@ def _moved(image: FloatImage, partner: FloatImage, interpolation: int) -> FloatI
     )
     value = np.where(share > 0, first + share * (second - first), first)
     return np.where(inside, value, np.float32(np.nan)).astype(np.float32)
-
-
-def _mean(image: FloatImage, side: int) -> FloatImage:
-    mean: FloatImage = cv2.blur(image, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    return mean

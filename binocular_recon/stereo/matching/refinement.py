@@ -9,7 +9,7 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, window_range
 from binocular_recon.stereo.holes.completion import fill_from_background
 from binocular_recon.stereo.matching._preparation import exposure_gain
 from binocular_recon.stereo.matching._refinement_kernels import (
@@ -59,14 +59,10 @@ def drop_flying(disparity_px: FloatImage, sigma_px: FloatImage, config: MatchCon
     """
     if config.edge_support == 0:
         return
-    none = np.isnan(disparity_px)
-    window = np.ones((2 * WINDOW_PX + 1,) * 2, np.uint8)
-    far = np.float32(1e6)
-    lowest = cv2.erode(np.where(none, far, disparity_px), window)
-    highest = cv2.dilate(np.where(none, -far, disparity_px), window)
+    near = window_range(disparity_px, 2 * WINDOW_PX + 1)
     limits = WINDOW_PX, EDGE_PX, ALIKE_PX, config.edge_support
     flying = np.empty(disparity_px.shape, np.bool_)
-    over_strips(find_between_strip, len(flying), disparity_px, (lowest, highest), limits, flying)
+    over_strips(find_between_strip, len(flying), disparity_px, near, limits, flying)
     disparity_px[flying], sigma_px[flying] = np.nan, np.nan
 
 
