@@ -223,3 +223,8 @@ def _help(spec: dataclasses.Field[Any]) -> str:
     facts += [f'preset {name}: {value}' for name, value in presets.items()]
     facts.append(f'default: {spec.default}')
     return f'{meta["description"]} ({"; ".join(facts)})'.replace('%', '%%')
+
+
+def beside(path: Path, ending: str) -> Path:
+    """Return the file beside an output whose name ends in another way: ``a.pfm``, ``a_x.png``."""
+    return path.with_name(path.stem + ending)

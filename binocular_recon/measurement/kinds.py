@@ -94,10 +94,10 @@ def _point(session: MeasuringSession, names: Names) -> Measurement:
 def _ends(session: MeasuringSession, names: Names) -> Uncertain:
     """Return points one after the other, (3 n,), in one frame of the rig."""
     points = joined(*(session.point(name) for name in names))
-    places = points.values.reshape(-1, 3)
-    for i, j in zip(range(len(names)), range(1, len(names)), strict=False):
-        if np.linalg.norm(places[i] - places[j]) < _SAME_M:
-            raise MeasurementError(f'{names[i]} and {names[j]} are the same point')
+    places = zip(names, points.values.reshape(-1, 3), strict=True)
+    for (first, here), (last, there) in itertools.pairwise(places):
+        if np.linalg.norm(here - there) < _SAME_M:
+            raise MeasurementError(f'{first} and {last} are the same point')
     return points
 
 

@@ -109,16 +109,13 @@ def write_picks(path: Path, picks: Iterable[Pick]) -> None:
     """Write picks as a table; raises a FileError if it cannot be written."""
     rows = list(picks)
     both = any(pick.right is not None for pick in rows)
-    text = io.StringIO(newline='')
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow(COLUMNS if both else COLUMNS[:4])
+    table = []
     for pick in rows:
         pixels = pick.pixel.tolist()
         if both:
             pixels += ['', ''] if pick.right is None else pick.right.tolist()
-        writer.writerow([pick.name, pick.frame, *pixels])
-    with complete_file(path) as file:
-        file.write(text.getvalue().encode())
+        table.append([pick.name, pick.frame, *pixels])
+    write_table(path, COLUMNS if both else COLUMNS[:4], table)
 
 
 def table_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
@@ -153,6 +150,19 @@ def table_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, 
     except csv.Error as error:
         raise MeasurementError(f'{path} is not a table: {error}; use commas') from error
     return rows
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a table with a first line that names its columns.
+
+    Raises a FileError if it cannot be written.
+    """
+    text = io.StringIO(newline='')
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(columns)
+    writer.writerows(rows)
+    with complete_file(path) as file:
+        file.write(text.getvalue().encode())
 
 
 def pick_of(row: Mapping[str, Any], where: str) -> Pick:

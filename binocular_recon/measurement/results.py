@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.io.files import complete_file, write_json
+from binocular_recon.io.files import write_json
+from binocular_recon.measurement.picks import write_table
 from binocular_recon.measurement.uncertain import Uncertain
 from binocular_recon.number_text import fixed
 
@@ -152,22 +151,13 @@ def write_results(folder: Path, found: Sequence[Measurement], facts: dict[str, A
         for one in found
         for what, q in one.quantities.items()
     ]
-    _write_csv(
+    write_table(
         paths[1], ['name', 'kind', 'points', 'frame', 'quantity', 'value', 'sigma', 'unit'], rows
     )
     for number, one in enumerate((one for one in found if one.profile), 1):
         paths.append(folder / f'section_{number:02d}.csv')
-        _write_csv(paths[-1], list(one.profile), np.column_stack(list(one.profile.values())))
+        write_table(paths[-1], list(one.profile), np.column_stack(list(one.profile.values())))
     return paths
-
-
-def _write_csv(path: Path, header: Sequence[str], rows: Any) -> None:
-    text = io.StringIO(newline='')
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow(header)
-    writer.writerows(rows)
-    with complete_file(path) as file:
-        file.write(text.getvalue().encode())
 
 
 def _main_source(quantity: Quantity) -> str:

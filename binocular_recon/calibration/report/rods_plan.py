@@ -74,9 +74,9 @@ def _draw_row(sheet: Sheet, board: RodBoard) -> None:
         (float(x_m[-1]) + board.rod_diameter_m, width), (float(edges[-1]), height - 6)
     )
     ground = top + height
-    x = left + board.rod_diameter_m * 500 / scale + 1000 * x_m / scale
+    x = left + (500 * board.rod_diameter_m + 1000 * x_m) / scale
     for place in x:
-        _draw_bands(sheet, board, float(place), ground, board.rod_diameter_m, scale)
+        _draw_bands(sheet, board, float(place), ground, scale)
     sheet.line((left - 4, ground), (left + width + 4, ground), 0.4)
     sheet.text(left, top - 2, f'From the front, 1:{scale}', FAINT)
     _draw_distances(sheet, x, ground + 5, x_m)
@@ -113,7 +113,7 @@ def _draw_plan(sheet: Sheet, board: RodBoard) -> None:
     sheet.line((left - 4, middle), (left + width + 4, middle), 0.1)
     radius = max(0.25, 500 * board.rod_diameter_m / scale)
     for x, z in zip(x_m, z_m, strict=True):
-        place = left + 500 * board.rod_diameter_m / scale + 1000 * float(x) / scale
+        place = left + (500 * board.rod_diameter_m + 1000 * float(x)) / scale
         sheet.disc(place, middle + 1000 * float(z) / scale, radius)
         if z:
             sheet.text(place, top + height + 4, f'z {_mm(float(z))}', anchor='middle', size=2.5)
@@ -126,7 +126,7 @@ def _draw_rod(sheet: Sheet, board: RodBoard) -> None:
     scale = _scale_of((board.rod_diameter_m, width), (float(edges[-1]), height))
     foot, x = top + height, left + width / 2
     sheet.text(left, top - 2, f'One rod, 1:{scale}', FAINT)
-    _draw_bands(sheet, board, x, foot, board.rod_diameter_m, scale)
+    _draw_bands(sheet, board, x, foot, scale)
     half = 500 * board.rod_diameter_m / scale
     places = foot - 1000 * board.marks_m / scale
     limits = top + 2, _SHEET[1] - 22
@@ -140,10 +140,8 @@ def _draw_rod(sheet: Sheet, board: RodBoard) -> None:
     sheet.text(x - half - 4, foot + 1, 'foot 0', anchor='end')
 
 
-def _draw_bands(
-    sheet: Sheet, board: RodBoard, x: float, foot: float, diameter_m: float, scale: int
-) -> None:
-    wide = 1000 * diameter_m / scale
+def _draw_bands(sheet: Sheet, board: RodBoard, x: float, foot: float, scale: int) -> None:
+    wide = 1000 * board.rod_diameter_m / scale
     for light, (low, high) in zip(
         board.light_bands, pairwise(band_edges_m(board).tolist()), strict=True
     ):

@@ -8,7 +8,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binocular_recon.cli.options import add_chain_options, chain_config
+from binocular_recon.cli.options import add_chain_options, beside, chain_config
 from binocular_recon.config import ChainConfig, MatchConfig
 from binocular_recon.errors import ConfigError, ImageError
 
@@ -108,8 +108,8 @@ def run(args: argparse.Namespace) -> None:
     for path in filter(None, (args.output, args.heat_map)):
         make_folder(path.parent)
     write_pfm(args.output, found.disparity_px)
-    write_pfm(_beside(args.output, '_sigma.pfm'), found.sigma_px)
-    write_image_file(_beside(args.output, '_validity.png'), found.validity)
+    write_pfm(beside(args.output, '_sigma.pfm'), found.sigma_px)
+    write_image_file(beside(args.output, '_validity.png'), found.validity)
     if args.heat_map:
         write_image_file(args.heat_map, heat_map_with_scale(found.disparity_px, 'px'))
     given = float(np.isfinite(disparity_px).mean())
@@ -178,7 +178,3 @@ def _check_size(path: Path, image: Image, disparity_px: FloatImage) -> None:
             f'{path} is {image.shape[1]}x{image.shape[0]} px and the disparity'
             f' {columns}x{rows} px; both must belong to the same image'
         )
-
-
-def _beside(path: Path, ending: str) -> Path:
-    return path.with_name(path.stem + ending)

@@ -8,7 +8,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binocular_recon.cli.options import add_chain_options, chain_config, note
+from binocular_recon.cli.options import add_chain_options, beside, chain_config, note
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ConfigError, ImageError
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
     write_pfm(args.output, disparity_px)
     if args.heat_map:
         write_image_file(args.heat_map, heat_map_with_scale(disparity_px, 'px'))
-    write_image_file(_beside(args.output, '_validity.png'), filtered.validity)
+    write_image_file(beside(args.output, '_validity.png'), filtered.validity)
     matched = found.matched.matched_share
     low, median, high = np.nanquantile(disparity_px, [0, 0.5, 1])
     print(
@@ -106,10 +106,6 @@ def _judge(found: DisparityEstimate, matched: float) -> None:
     warning = few_matched_warning(matched, found.findings.cause)
     if warning:
         note(f'warning: {warning}')
-
-
-def _beside(path: Path, ending: str) -> Path:
-    return path.with_name(path.stem + ending)
 
 
 def _config(args: argparse.Namespace) -> ChainConfig:

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
-from typing import Any
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.errors import DependencyError, MeasurementError
+from binocular_recon.errors import MeasurementError
+from binocular_recon.machine import optional_package
 
 # Radius of the earth for the scale by height, m.
 _EARTH_M = 6_371_000.0
@@ -52,7 +51,7 @@ def reference_system(epsg: int, place: FloatArray) -> ReferenceSystem:
         outside of its area.
 
     """
-    pyproj = _pyproj()
+    pyproj = optional_package('pyproj', 'reference systems (--epsg)')
     try:
         system = pyproj.CRS.from_epsg(epsg)
     except pyproj.exceptions.CRSError as error:
@@ -93,13 +92,3 @@ def _within(longitude: float, west: float, east: float) -> bool:
     if west <= east:
         return west - 1 <= longitude <= east + 1
     return longitude >= west - 1 or longitude <= east + 1
-
-
-def _pyproj() -> Any:
-    try:
-        return importlib.import_module('pyproj')
-    except ImportError as error:
-        raise DependencyError(
-            'reference systems need pyproj, which is not installed; run: pip install'
-            " 'binocular_recon[survey]', or give local coordinates without --epsg"
-        ) from error
