@@ -92,10 +92,13 @@ def arguments() -> dict[str, Any]:
             'scipy>=1.11.4',
         ],
         'extras_require': {
+            'cluster': ['dask>=2024.8', 'distributed>=2024.8'],
             'e57': ['pye57>=0.4.13,<0.5'],
+            'merge': ['small_gicp>=1.0,<2'],
             'onnx': ['onnxruntime>=1.20'],
             'survey': ['laspy[lazrs]>=2.5.4,<3', 'pyproj>=3.6.1,<4'],
             'video': ['av>=12'],
+            'view': ['viser>=1.0,<2'],
             'test': ['packaging', 'pytest', 'pytest-timeout'],
         },
         'zip_safe': False,

@@ -33,8 +33,8 @@ LOCKS: dict[str, tuple[list[str], list[str]]] = {
     'ros-kilted': (['ros-kilted.in'], ['runtime']),
     'ros-jazzy': (['ros-jazzy.in'], ['oldest']),
     'test': (['test.in'], ['runtime']),
-    'dev': (['dev.in'], ['runtime', 'test']),
-    'docs': (['docs.in'], ['runtime', 'test', 'dev']),
+    'dev': (['dev.in'], ['runtime', 'extras', 'test']),
+    'docs': (['docs.in'], ['runtime', 'extras', 'test', 'dev']),
     'contrib': (['.', 'runtime.in', 'contrib.in'], ['runtime']),
     'lock': (['lock.in'], []),
     'colcon': (['colcon.in'], ['runtime', 'test']),
@@ -135,4 +135,4 @@ def main(uv: str, minors: list[str]) -> None:
 
 
 if __name__ == '__main__':
-    main(sys.argv[1], [name.removeprefix('python') for name in sys.argv[2:]])
+    main(str(Path(sys.argv[1]).absolute()), [name.removeprefix('python') for name in sys.argv[2:]])
