@@ -147,6 +147,28 @@ def test_pixels_are_taken_from_where_the_maps_lead() -> None:
         assert error_px.max() < (1e-3 if exact else 1 / 64 + 1e-3)
 
 
+@pytest.mark.parametrize('scale', [2, 2.6, 3.3])
+def test_detail_finer_than_a_rectified_pixel_is_averaged(scale: float) -> None:
+    rig, _, _ = make_rig()
+    fine = np.diag([1 / scale, 1 / scale, 1])
+    coarse = StereoRig(
+        *(dataclasses.replace(one, P=fine @ one.P, D=np.zeros(5)) for one in (rig.left, rig.right))
+    )
+    rectifier = Rectifier(coarse)
+    columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    stripes = np.where(columns % 2, 255, 0).astype(np.uint8)
+    ramp = (1000 * 2 + 20 * columns + 3 * rows).astype(np.float32)
+    map_x, map_y = rectification_maps(coarse.left)
+    inside = (np.abs(map_x - 160) < 150) & (np.abs(map_y - 100) < 90)
+    assert 500 < inside.sum() < 64000 / scale**2
+    averaged, _ = rectifier(stripes, stripes)
+    assert np.abs(averaged[inside].astype(float) - 127.5).max() <= 45  # a third of the stripes
+    assert np.std(cv2.remap(stripes, map_x, map_y, cv2.INTER_LINEAR)[inside]) > 60
+    shifted, _ = rectifier(ramp, ramp)
+    true = 2000 + 20 * map_x + 3 * map_y
+    assert np.abs(shifted - true)[inside].max() < 0.05 * 20
+
+
 @pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize('channels', [(), (3,), (4,)])
 def test_shape_and_dtype_are_kept(dtype: type, channels: tuple[int, ...]) -> None:
