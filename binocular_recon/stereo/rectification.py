@@ -192,7 +192,7 @@ class _Maps(NamedTuple):
         area = np.abs(steps[0][1] * steps[1][0] - steps[0][0] * steps[1][1])
         block = max(1, int(math.sqrt(np.median(area)) + _WHOLE_BLOCK))
         if block > 1:
-            x, y = ((one + 0.5) / block - 0.5 for one in (x, y))
+            x, y = (((one + 0.5) / block - 0.5).astype(np.float32) for one in (x, y))
         return cls(x, y, block)
 
 

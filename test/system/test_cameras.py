@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras with topics of other names, or that rectify, give what the offline chain gives."""
+"""Cameras with other names, of two sizes, or that rectify, give what the offline chain gives."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from sensor_msgs.msg import CameraInfo, Image
@@ -23,8 +25,20 @@ DEPTH: tuple[str, type[Image]] = ('/rig/depth', Image)
 RANGE = {'min_disparity': '0', 'disparity_range': '48'}
 CONFIG = ChainConfig.preset('default', min_disparity=0, disparity_range=48)
 IMAGES = image_pair(3)
+
+
+def of_two_sizes() -> tuple[StereoRig, tuple[np.ndarray, np.ndarray]]:
+    """Return the rig, and its images, with a right camera of 1.5 times the resolution."""
+    rig, (left, right) = raw_rig(), IMAGES
+    scale = np.array([[1.5, 0, 0.25], [0, 1.5, 0.25], [0, 0, 1]])
+    fine = cv2.resize(right, None, fx=1.5, fy=1.5, interpolation=cv2.INTER_CUBIC)
+    size = {'width': fine.shape[1], 'height': fine.shape[0]}
+    return StereoRig(rig.left, replace(rig.right, K=scale @ rig.right.K, **size)), (left, fine)
+
+
+RIG, PAIR = of_two_sizes()
 # alpha 0 gives the rectified images another focal length than P of the cameras
-CROPPED = Chain(raw_rig(), CONFIG, alpha=0.0)
+CROPPED = Chain(RIG, CONFIG, alpha=0.0)
 
 
 def depth(graph: Graph, rig: StereoRig, images: Any, topics: dict[str, str]) -> Image:
@@ -57,7 +71,7 @@ def test_remappings_around_the_launch_file_reach_the_rectifier_only(
     graph: Graph, start_node: StartNode
 ) -> None:
     """As `SetRemap` in a group gives them to all nodes; topics of the right one are arguments."""
-    assert CROPPED.rig.focal_px > 1.01 * raw_rig().focal_px
+    assert CROPPED.rig.focal_px > 1.01 * RIG.focal_px
     outer = {'left/image_raw': 'cam0/image', 'left/camera_info': 'cam0/info'}
     given = {'right_namespace': '/cams/right', 'right_camera_info': 'cam1/info'}
     given |= {'alpha': '0', 'frame_suffix': '_rectified'}
@@ -68,8 +82,8 @@ def test_remappings_around_the_launch_file_reach_the_rectifier_only(
         'right_image': '/cams/right/image_raw',
         'right_camera_info': '/rig/cam1/info',
     }
-    message = depth(graph, raw_rig(), IMAGES, topics)
-    check_depth(message, CROPPED, IMAGES)
+    message = depth(graph, RIG, PAIR, topics)
+    check_depth(message, CROPPED, PAIR)
     # the frame comes from the rectified image; where tf2_msgs is missing, its transform is said
     assert message.header.frame_id == 'left_optical_rectified'
     said = 'from left_optical to left_optical_rectified is not published, because tf2_msgs'

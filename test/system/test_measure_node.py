@@ -13,6 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 from binocular_recon.io.messages.clouds import fill_cloud
 from binocular_recon.stereo.triangulation import Cloud
@@ -75,5 +76,13 @@ def test_two_clicks_give_a_length_that_stays(graph: Graph, start_node: StartNode
     assert abs(length['value'] - 1.0) < 0.03 and 0.02 < length['sigma'] < 0.1
     assert content['text'] == f'{length["value"]:.3f} +- {length["sigma"]:.3f} m'
     assert content['sigma'].startswith('matching only')
+    (marked,) = graph.inbox('/rig/measurement_markers', MarkerArray, LATCHED).wait()
+    line, label = marked.markers
+    assert (line.type, label.type) == (Marker.LINE_STRIP, Marker.TEXT_VIEW_FACING)
+    assert label.text == content['text'] and label.header.frame_id == 'left'
+    assert abs(line.points[1].x - line.points[0].x - length['value']) < 0.01
+    assert min(line.color.a, label.color.a, line.scale.x, label.scale.z) > 0
     cleared = graph.call('/rig/measure_node/clear', Trigger, Trigger.Request())
     assert cleared.success and cleared.message == '2 points forgotten'
+    markers = graph.inbox('/rig/measurement_markers', MarkerArray, LATCHED).wait()
+    assert [one.action for one in markers[-1].markers] == [Marker.DELETEALL]
