@@ -18,7 +18,16 @@ FloatArray = npt.NDArray[np.float64]
 # Other programs' names of the lens models, in lower case without anything but letters and digits.
 _ALIASES = {
     **dict.fromkeys(
-        ('plumbbob', 'radtan', 'radialtangential', 'brown', 'brownconrady', 'opencv'), 'plumb_bob'
+        (
+            'plumbbob',
+            'radtan',
+            'pinholeradtan',
+            'radialtangential',
+            'brown',
+            'brownconrady',
+            'opencv',
+        ),
+        'plumb_bob',
     ),
     **dict.fromkeys(('rational', 'rationalpolynomial'), 'rational_polynomial'),
     **dict.fromkeys(
@@ -26,6 +35,7 @@ _ALIASES = {
             'equidistant',
             'equidistant4',
             'equi',
+            'pinholeequi',
             'fisheye',
             'opencvfisheye',
             'kannalabrandt',
@@ -89,7 +99,7 @@ def known_lens(name: str, D: FloatArray) -> tuple[str, FloatArray, list[str]]:
     if found not in LENSES:
         raise CalibrationError(
             f'distortion model {name!r} is not one of {", ".join(LENSES)}; set the one of the'
-            f' calibration ({D.size} coefficients)'
+            f' calibration (number of coefficients: {D.size})'
         )
     if found != name:
         notices.append(f'distortion model {name!r} is read as {found}')
@@ -125,7 +135,7 @@ def check_matrices(K: FloatArray, P: FloatArray) -> None:
             f'P is not that of a rectified camera (fx = {P[0, 0]:g},'
             f' fy = {P[1, 1]:g} px); calibrate as a stereo rig'
         )
-    for name, matrix in (('K', K), ('P', P)):
+    for name, matrix in (('P', P), ('K', K)):  # K of a rectified camera is made from its P
         must = {(1, 0): 0.0, (2, 0): 0.0, (2, 1): 0.0, (2, 2): 1.0}
         if name == 'P':
             must[0, 1] = 0.0  # (2, 3) is checked with the other camera's
