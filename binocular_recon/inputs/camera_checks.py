@@ -17,32 +17,14 @@ FloatArray = npt.NDArray[np.float64]
 
 # Other programs' names of the lens models, in lower case without anything but letters and digits.
 _ALIASES = {
-    **dict.fromkeys(
-        (
-            'plumbbob',
-            'radtan',
-            'pinholeradtan',
-            'radialtangential',
-            'brown',
-            'brownconrady',
-            'opencv',
-        ),
-        'plumb_bob',
-    ),
-    **dict.fromkeys(('rational', 'rationalpolynomial'), 'rational_polynomial'),
-    **dict.fromkeys(
-        (
-            'equidistant',
-            'equidistant4',
-            'equi',
-            'pinholeequi',
-            'fisheye',
-            'opencvfisheye',
-            'kannalabrandt',
-            'kannalabrandt4',
-        ),
-        'equidistant',
-    ),
+    alias: model
+    for model, aliases in {
+        'plumb_bob': 'plumbbob radtan pinholeradtan radialtangential brown brownconrady opencv',
+        'rational_polynomial': 'rational rationalpolynomial',
+        'equidistant': 'equidistant equidistant4 equi pinholeequi fisheye opencvfisheye'
+        ' kannalabrandt kannalabrandt4',
+    }.items()
+    for alias in aliases.split()
 }
 # Names of models that leave a point where it is if all coefficients are 0.
 _UNDISTORTED = ('none', 'null', 'pinhole', 'perspective', 'undistorted', 'inversebrownconrady')
