@@ -17,7 +17,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
+        environments jazzy-environment colcon-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
         lock dist clean distclean
 
 help: ## this list
@@ -33,8 +33,13 @@ runtime:
 demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
-# The closing line is that of the whole suite; it says what was not run.
-test: lint site suites ## everything that CI runs
+# The closing line is that of the whole suite; it says what was not run. The other environments
+# are installed while the code is checked: an installation keeps one core busy.
+test: ## everything that CI runs
+	@$(MAKE) --no-print-directory environments & environments=$$!; \
+	$(MAKE) --no-print-directory lint site; status=$$?; \
+	wait $$environments && exit $$status
+	@$(MAKE) --no-print-directory suites
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -56,12 +61,16 @@ kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m 'kernel and not large' -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
+environments: colcon-environment
+
 jazzy:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
 
 suites: unit kernels colcon
 	$(PYTEST) --done test/unit
 else
+environments: jazzy-environment colcon-environment
+
 jazzy-environment:
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy oldest-extras test
 	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
@@ -90,8 +99,10 @@ node-suites:
 	$(PYTEST) --done test/unit
 endif
 
-colcon: setup ## build, install and test as a ROS workspace does
+colcon-environment:
 	@$(INSTALL) .venv-colcon colcon
+
+colcon: setup colcon-environment ## build, install and test as a ROS workspace does
 	.ci/colcon
 
 clients: setup ## real programs open our clouds: CloudCompare under Xvfb
