@@ -89,13 +89,12 @@ unit-suites:
 	@echo 'unit tests with the newest versions, then all but the long ones with the oldest'
 	$(PYTEST) -q test/unit
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
-	@$(MAKE) --no-print-directory colcon
+	@$(MAKE) --no-print-directory kernels colcon
 
 node-suites:
 	@echo 'system tests but the long ones with ROS 2 Jazzy, then all but unit tests with Kilted'
 	.venv-jazzy/bin/python -m pytest -q test/system -m 'not long' || \
 	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
-	@$(MAKE) --no-print-directory kernels
 	$(PYTEST) --done test/unit
 endif
 

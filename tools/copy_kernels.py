@@ -29,7 +29,9 @@ def copy_kernels(package: Path) -> None:
             if hasattr(member, 'stats') and member.__module__ == '.'.join(module.parts)
         }
         target = package / source.parent.relative_to(SOURCE) / '__pycache__'
-        for compiled in (file for cache in caches for file in Path(cache).glob(f'{source.stem}.*')):
+        for compiled in (
+            file for cache in caches for file in Path(cache).glob(f'{source.stem}.*')
+        ):
             target.mkdir(exist_ok=True)
             shutil.copy(compiled, target)
 

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import functools
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,13 @@ class Crew(CalibrationServices):
 def _no_second_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not wait for what these tests never send."""
     monkeypatch.setattr(module, '_STILL_WITHIN_S', 0.0)
+
+
+@pytest.fixture(autouse=True, scope='module')
+def _marks_of_a_pair_are_detected_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, 'detect_pair', functools.cache(module.detect_pair))
+        yield
 
 
 def test_without_boards_each_service_says_what_to_do(tmp_path: Path) -> None:
