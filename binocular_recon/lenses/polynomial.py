@@ -121,8 +121,8 @@ def _newton(target: FloatArray, start: FloatArray, D: FloatArray, limit: float) 
         rays = rays + solve(slopes, off)
     exact = np.abs(target - _sloped(rays, D)[0]).max(axis=-1) <= tolerance
     unfolded = np.empty(len(rays), np.bool_)
-    for start in range(0, len(rays), _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for first in range(0, len(rays), _BLOCK):
+        block = slice(first, first + _BLOCK)
         way = _sloped(rays[block, None] * _WAY[:, None], D)[1]
         unfolded[block] = (determinant(way) > 0).all(axis=-1)
     good = exact & unfolded & (np.linalg.norm(rays, axis=-1) < limit)

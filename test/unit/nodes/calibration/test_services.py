@@ -16,6 +16,7 @@ from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration import services as module
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.nodes.calibration.services import BusyError, CalibrationServices
+from binocular_recon.nodes.calibration.steps import detect_pair
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
@@ -57,7 +58,7 @@ def _no_second_pair(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True, scope='module')
 def _marks_of_a_pair_are_detected_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, 'detect_pair', functools.cache(module.detect_pair))
+        patch.setattr(module, 'detect_pair', functools.cache(detect_pair))
         yield
 
 
