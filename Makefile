@@ -86,16 +86,17 @@ suites: setup jazzy-environment
 	wait $$nodes || status=$$?; cat .venv/nodes.log; exit $$status
 
 unit-suites:
-	@echo 'unit tests with the newest versions, then all but the long ones with the oldest'
-	$(PYTEST) -q test/unit
+	@echo 'tests of units and replay with the newest versions, then unit tests but the long ones'
+	@echo 'with the oldest, kernels that are not compiled, and a ROS workspace'
+	$(PYTEST) -q test/unit test/replay
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
 	@$(MAKE) --no-print-directory kernels colcon
 
 node-suites:
-	@echo 'system tests but the long ones with ROS 2 Jazzy, then all but unit tests with Kilted'
+	@echo 'system tests but the long ones with ROS 2 Jazzy, then all that is left with Kilted'
 	.venv-jazzy/bin/python -m pytest -q test/system -m 'not long' || \
 	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
-	$(PYTEST) --done test/unit
+	$(PYTEST) --done test/unit --done test/replay
 endif
 
 colcon-environment:
