@@ -17,7 +17,7 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        jazzy-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
+        environments jazzy-environment colcon-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
         lock dist clean distclean
 
 help: ## this list
@@ -33,8 +33,13 @@ runtime:
 demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
-# The closing line is that of the whole suite; it says what was not run.
-test: lint site suites ## everything that CI runs
+# The closing line is that of the whole suite; it says what was not run. The other environments
+# are installed while the code is checked: an installation keeps one core busy.
+test: ## everything that CI runs
+	@$(MAKE) --no-print-directory environments & environments=$$!; \
+	$(MAKE) --no-print-directory lint site; status=$$?; \
+	wait $$environments && exit $$status
+	@$(MAKE) --no-print-directory suites
 
 lint: setup ## format, lint rules and types
 	.venv/bin/ruff format --check
@@ -56,12 +61,16 @@ kernels: setup ## kernels against their naive twins, not compiled
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -q -m 'kernel and not large' -W ignore::RuntimeWarning test/unit
 
 ifdef ROS_DISTRO
+environments: colcon-environment
+
 jazzy:
 	@echo 'ROS 2 $(ROS_DISTRO) is sourced: no tests with the Jazzy wheels'
 
 suites: unit kernels colcon
 	$(PYTEST) --done test/unit
 else
+environments: jazzy-environment colcon-environment
+
 jazzy-environment:
 	@$(INSTALL) .venv-jazzy oldest ros-jazzy oldest-extras test
 	@.venv-jazzy/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 13))' || \
@@ -77,21 +86,23 @@ suites: setup jazzy-environment
 	wait $$nodes || status=$$?; cat .venv/nodes.log; exit $$status
 
 unit-suites:
-	@echo 'unit tests with the newest versions, then all but the long ones with the oldest'
-	$(PYTEST) -q test/unit
+	@echo 'tests of units and replay with the newest versions, then unit tests but the long ones'
+	@echo 'with the oldest, kernels that are not compiled, and a ROS workspace'
+	$(PYTEST) -q test/unit test/replay
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
-	@$(MAKE) --no-print-directory colcon
+	@$(MAKE) --no-print-directory kernels colcon
 
 node-suites:
-	@echo 'system tests but the long ones with ROS 2 Jazzy, then all but unit tests with Kilted'
+	@echo 'system tests but the long ones with ROS 2 Jazzy, then all that is left with Kilted'
 	.venv-jazzy/bin/python -m pytest -q test/system -m 'not long' || \
 	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
-	@$(MAKE) --no-print-directory kernels
-	$(PYTEST) --done test/unit
+	$(PYTEST) --done test/unit --done test/replay
 endif
 
-colcon: setup ## build, install and test as a ROS workspace does
+colcon-environment:
 	@$(INSTALL) .venv-colcon colcon
+
+colcon: setup colcon-environment ## build, install and test as a ROS workspace does
 	.ci/colcon
 
 clients: setup ## real programs open our clouds: CloudCompare under Xvfb

@@ -23,6 +23,8 @@ def rotation(turn: FloatArray) -> FloatArray:
 def cross_matrix(vector: FloatArray) -> FloatArray:
     """Return the matrices (..., 3, 3) that form the cross product with vectors (..., 3)."""
     x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
+    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
+    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
+    return matrix

@@ -42,7 +42,11 @@ def _claim_domain() -> tuple[int, socket.socket]:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run say for the whole suite what was left out, though a part was run before."""
     parser.addoption(
-        '--done', default='', metavar='FOLDER', help='collect its tests, but do not run them again'
+        '--done',
+        action='append',
+        default=[],
+        metavar='FOLDER',
+        help='collect its tests, but do not run them again; may be given several times',
     )
 
 
@@ -92,9 +96,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=without)
         if without:
             config.stash[_left_out].append(f'tests not run: {len(without)}; {reason}')
-    if config.option.done:
-        folder = REPOSITORY / config.option.done
-        items[:] = [item for item in items if not item.path.is_relative_to(folder)]
+    for folder in config.option.done:
+        items[:] = [item for item in items if not item.path.is_relative_to(REPOSITORY / folder)]
 
 
 def _needs(item: pytest.Item) -> set[str]:

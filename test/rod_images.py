@@ -3,17 +3,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.simulation.render import RodPaint, Sensor, draw_rods, expose
-from binocular_recon.simulation.rig import survey_rig
+from binocular_recon.simulation.rig import View, survey_rig
 from binocular_recon.simulation.rods import PlacedBoard, place_board
 
 RIG = survey_rig()
-LEFT = RIG.views()[0]
+
+
+def middle_of(view: View, width: int, height: int) -> View:
+    """Return a camera with a smaller sensor about the same centre: as many px per degree."""
+    K = view.camera.K.copy()
+    K[:2, 2] -= (view.camera.width - width) / 2, (view.camera.height - height) / 2
+    return replace(view, camera=replace(view.camera, width=width, height=height, K=K))
+
+
+# boards need no more of the image, and a detection takes as long as the image has pixels
+LEFT = middle_of(RIG.views()[0], 1200, 800)
 
 
 def board_of(
@@ -41,7 +52,7 @@ def image_of(
     """Return an image of a board before a plain wall, and the board."""
     rng = np.random.default_rng(5)
     placed = place_board(board, np.array(rotation), np.array(translation), rng)
-    canvas = np.full((1200, 1920, 3), background, np.float32)
+    canvas = np.full((*LEFT.camera.size[::-1], 3), background, np.float32)
     length = board.marks_m[-1] + 0.2
     draw_rods(canvas, LEFT, placed, RodPaint(length_m=length, **paint))
     return expose(canvas, Sensor(), rng), placed

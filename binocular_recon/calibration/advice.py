@@ -145,17 +145,19 @@ def _candidates(found: Estimate) -> State:
     half_y = calibration.image_size[1] / 2 / calibration.K_left[1, 1]
     height = float(np.median(middles @ up))
     pitches = (0.0,) if target.has_rods else _PITCHES_DEG
+    turned = [
+        rotation(turn * up) @ facing @ rotation(np.array([pitch, 0, 0]))
+        for turn in np.radians(_TURNS_DEG)
+        for pitch in np.radians(pitches)
+    ]
     rotations, translations = [], []
     for depth in np.geomspace(middles[:, 2].min(), 1.2 * middles[:, 2].max(), _DISTANCES):
         for column in _COLUMNS:
             heights = [height] if target.has_rods else [depth * half_y * row for row in _ROWS]
             for lift in heights:
                 middle = depth * forward + depth * half_x * column * facing[:, 0] + lift * up
-                for turn in np.radians(_TURNS_DEG):
-                    for pitch in np.radians(pitches):
-                        turned = rotation(turn * up) @ facing @ rotation(np.array([pitch, 0, 0]))
-                        rotations.append(turned)
-                        translations.append(middle - turned @ centre)
+                rotations += turned
+                translations += [middle - R @ centre for R in turned]
     boards = State(
         calibration,
         np.array(rotations),

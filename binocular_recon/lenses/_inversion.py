@@ -63,7 +63,9 @@ def least_root(coefficients: FloatArray) -> float:
 
 
 def matrices(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
-    return np.stack([np.stack([a, b], -1), np.stack([c, d], -1)], -2)
+    result = np.empty((*a.shape, 2, 2))
+    result[..., 0, 0], result[..., 0, 1], result[..., 1, 0], result[..., 1, 1] = a, b, c, d
+    return result
 
 
 def determinant(m: FloatArray) -> FloatArray:

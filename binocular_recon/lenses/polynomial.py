@@ -17,6 +17,8 @@ _TOLERANCE = 1e-13
 _NEWTON_STEPS = 30
 # Places on the way from the centre to a ray at which the image must not be folded.
 _WAY = np.linspace(0.125, 1.0, 8)
+# Rays whose ways fit a processor's cache.
+_BLOCK = 1024
 # Points this close to the centre are their own rays.
 _CENTRE = 1e-8
 
@@ -118,8 +120,11 @@ def _newton(target: FloatArray, start: FloatArray, D: FloatArray, limit: float) 
             break
         rays = rays + solve(slopes, off)
     exact = np.abs(target - _sloped(rays, D)[0]).max(axis=-1) <= tolerance
-    way = _sloped(rays[:, None] * _WAY[:, None], D)[1]
-    unfolded = (determinant(way) > 0).all(axis=-1)
+    unfolded = np.empty(len(rays), np.bool_)
+    for first in range(0, len(rays), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        way = _sloped(rays[block, None] * _WAY[:, None], D)[1]
+        unfolded[block] = (determinant(way) > 0).all(axis=-1)
     good = exact & unfolded & (np.linalg.norm(rays, axis=-1) < limit)
     return np.where(good[:, None], rays, np.nan)
 

@@ -29,7 +29,7 @@ SIDES = ('left', 'right')
 IMAGES = [f'/rig/{side}/image_raw' for side in SIDES]
 
 
-BOARDS = 8
+BOARDS = 6
 
 
 # half the size of the survey rig's images, so boards stand at half the distance

@@ -141,8 +141,8 @@ def _appearance(track: Track) -> tuple[float, float, float]:
     return track.score / track.found.sum(), float(np.log(step)), float(np.log(track.width_px))
 
 
-def _limits(board: RodBoard, size: tuple[int, int], step: float) -> FloatArray:
-    """Return the limits of `score_layout`; ``step``: logarithm of the rods' step."""
+def _limits(board: RodBoard, size: tuple[int, int]) -> FloatArray:
+    """Return the limits of `score_layout`; 0 in place of the rods' usual step."""
     margin, lateral_px = 4.0, 2.0
     return np.array(
         [
@@ -150,7 +150,7 @@ def _limits(board: RodBoard, size: tuple[int, int], step: float) -> FloatArray:
             size[1] - margin,
             lateral_limit_m(board),
             lateral_px,
-            step,
+            0.0,
             np.log(board.rod_diameter_m),
         ]
     )
@@ -160,30 +160,39 @@ def _hypotheses(
     anchors: list[Anchor], looks: FloatArray, board: RodBoard, size: tuple[int, int]
 ) -> Iterator[Hypothesis]:
     """Yield each pair of tracks as each pair of rods; for a board with one rod, each track."""
+    limits = _limits(board, size)
     if board.count == 1:
         for anchor in anchors:
             ends = np.stack([anchor.ends, anchor.ends])
             only = slice(anchor.track, anchor.track + 1)
-            yield Hypothesis(ends, (0, 0), only, _limits(board, size, looks[anchor.track, 1]))
+            yield Hypothesis(ends, (0, 0), only, _with_step(limits, looks[anchor.track, 1]))
         return
     row = board.row_m
+    pairs = [
+        (rods, np.hypot(*(row[rods[1]] - row[rods[0]])))
+        for rods in combinations(range(board.count), 2)
+    ]
     for one, other in combinations(anchors, 2):
         left, right = (one, other) if one.ends[0] < other.ends[0] else (other, one)
+        if one.track == other.track or not 0.5 < left.ends[4] / right.ends[4] < 2:
+            continue
+        sides = left.ends[:4].reshape(2, 2), right.ends[:4].reshape(2, 2)
+        if _skew(*sides) > MAX_SKEW:
+            continue
         scale = np.sqrt(left.ends[4] * right.ends[4])
         apart_m = np.hypot(*(right.ends[:2] - left.ends[:2])) / scale
-        sides = left.ends[:4].reshape(2, 2), right.ends[:4].reshape(2, 2)
-        if (
-            one.track == other.track
-            or _skew(*sides) > MAX_SKEW
-            or not 0.5 < left.ends[4] / right.ends[4] < 2
-        ):
-            continue
         ends = np.stack([left.ends, right.ends])
-        step = 0.5 * (looks[left.track, 1] + looks[right.track, 1])
-        limits = _limits(board, size, step)
-        for rods in combinations(range(board.count), 2):
-            if MIN_APART < apart_m / np.hypot(*(row[rods[1]] - row[rods[0]])) < MAX_APART:
-                yield Hypothesis(ends, rods, slice(0, len(looks)), limits)
+        stepped = _with_step(limits, 0.5 * (looks[left.track, 1] + looks[right.track, 1]))
+        for rods, gap_m in pairs:
+            if MIN_APART < apart_m / gap_m < MAX_APART:
+                yield Hypothesis(ends, rods, slice(0, len(looks)), stepped)
+
+
+def _with_step(limits: FloatArray, step: float) -> FloatArray:
+    """Return limits with the logarithm of the rods' step."""
+    limits = limits.copy()
+    limits[4] = step
+    return limits
 
 
 def _best(
@@ -207,6 +216,6 @@ def _best(
 
 def _skew(first: FloatArray, last: FloatArray) -> float:
     """Return the cosine between two rods (lowest and highest mark) and the line through them."""
-    row = last[[0, -1]].mean(0) - first[[0, -1]].mean(0)
+    row = 0.5 * (last[0] + last[-1]) - 0.5 * (first[0] + first[-1])
     up = last[-1] - last[0] + first[-1] - first[0]
     return float(abs(row @ up) / max(np.linalg.norm(row) * np.linalg.norm(up), 1e-9))

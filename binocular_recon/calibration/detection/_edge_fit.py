@@ -109,6 +109,7 @@ def fit_edge(
     edge[CURVE] = curve or 0.0
     edge[BLUR] = blur_px or USUAL_BLUR_PX
     n = EDGE_PARAMETERS
+    diagonal = np.diag_indices(n)
     for step in range(EDGE_STEPS):
         normal, gradient = np.zeros((n, n)), np.zeros(n)
         square, count = accumulate_edge(image, window, shade, edge, normal, gradient)
@@ -126,15 +127,16 @@ def fit_edge(
         target[LEFT] = target[RIGHT] = 0.5 * (edge[BELOW] + edge[ABOVE])
         target[CURVE] = curve or 0.0
         target[BLUR] = blur_px or USUAL_BLUR_PX
-        change = np.linalg.solve(normal + np.diag(stiff), gradient + stiff * (target - edge))
-        change[T0] = np.clip(change[T0], -1.0, 1.0)
-        change[BLUR] = np.clip(change[BLUR], -0.2, 0.2)
+        normal[diagonal] += stiff
+        change = np.linalg.solve(normal, gradient + stiff * (target - edge))
+        change[T0] = min(max(change[T0], -1.0), 1.0)
+        change[BLUR] = min(max(change[BLUR], -0.2), 0.2)
         edge = edge + change
         edge[BLUR] = max(edge[BLUR], 0.3)
         if abs(edge[T0]) > min(reach_px) or contrast > 1e8:
             return None
     variance = square / max(count - 3, 1)
-    covariance = np.linalg.inv(normal + np.diag(stiff))
+    covariance = np.linalg.inv(normal)
     return EdgeFit(
         middle + edge[T0] * up,
         float(edge[BELOW]),

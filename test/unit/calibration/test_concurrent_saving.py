@@ -58,10 +58,10 @@ def test_readers_and_two_savers_that_are_killed(
         save_rig(rig(FOCAL_PX + step), rigs / str(step))
     faults: list[BaseException] = []
     reads, more = [0] * READERS, threading.Condition()
-    ended = threading.Event()
+    saving, ended = threading.Event(), threading.Event()
 
     def read_on(number: int) -> None:
-        while not ended.is_set():
+        while saving.wait() and not ended.is_set():
             try:
                 check(read_rig(tmp_path))
             except BaseException as error:  # noqa: BLE001 - reported by the test
@@ -77,6 +77,7 @@ def test_readers_and_two_savers_that_are_killed(
     try:
         for kill in range(KILLS):
             savers = [start_saving(tmp_path, rigs) for _ in range(2)]
+            saving.set()
             goal = sum(reads) + 40 + 7 * kill
             with more:
                 more.wait_for(lambda goal=goal: ended.is_set() or sum(reads) >= goal, 60)  # type: ignore[misc]
@@ -87,8 +88,10 @@ def test_readers_and_two_savers_that_are_killed(
             check(read_rig(tmp_path))
             if (tmp_path / 'previous').exists():  # the first savers may have come to nothing
                 check(read_rig(tmp_path / 'previous'))
+            saving.clear()  # until the next savers have started
     finally:
         ended.set()
+        saving.set()
         for reader in readers:
             reader.join()
     assert faults == []

@@ -37,6 +37,7 @@ def test_plain_board_is_measured_to_hundredths() -> None:
     assert 0.4 < honesty < 1.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('sun', [(0.95, -0.3, 0.0), (-0.95, -0.3, 0.0), (0.1, -0.2, -0.97)])
 def test_light_from_the_side_does_not_shift_the_middle(sun: tuple[float, float, float]) -> None:
     """A fit of plain sides is off by 0.2 px here."""
@@ -64,6 +65,7 @@ def test_clutter_occlusion_border_and_tilt(shared_data: Path) -> None:
     assert figures['rms_px']['y'] < 0.12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ('rods', 'marks', 'diameter', 'depth'),
     [
@@ -85,6 +87,7 @@ def test_any_number_of_rods_and_any_spacing(
     assert np.abs(error).max() < 0.25
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ('z', 'yaw', 'hidden'),
     [
@@ -110,6 +113,7 @@ def test_rods_off_their_row_keep_their_identity(
     assert np.nanmax(np.abs(detection.marks_px - truth)) < 0.25
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('roll_deg', [-20.0, -12.0, 12.0, 20.0])
 def test_rods_leaning_up_to_20_degrees(roll_deg: float) -> None:
     image, placed = image_of(
@@ -138,6 +142,7 @@ def test_bands_that_differ_in_colour_only() -> None:
     assert np.isfinite(errors(image, placed)).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ('sun', 'ambient', 'place', 'turn'),
     [

@@ -52,7 +52,7 @@ def fisheye_truth() -> StereoCalibration:
 
 
 @functools.cache
-def solved_fisheye(placement_m: float, seed: int = 0) -> CalibrationResult:
+def solved_fisheye(placement_m: float, seed: int) -> CalibrationResult:
     captures = fisheye_captures(placement_m, seed=seed)
     return calibrate(captures, board_of(placement_m), SIZE, lens='equidistant')
 
@@ -89,7 +89,7 @@ def test_stated_sigmas_cover_the_true_rig(seed: int) -> None:
 
 
 def test_rows_correspond_after_rectification() -> None:
-    result, points, truth = solved_fisheye(0.0), points_at_15_m(), fisheye_truth()
+    result, points, truth = solved_fisheye(0.0, 0), points_at_15_m(), fisheye_truth()
     marks = np.concatenate([truth.project(points, side) for side in ('left', 'right')], axis=-1)
     aligned = corrected_marks(
         marks, result.calibration, correction_of(result.calibration, result.rig)
@@ -109,7 +109,7 @@ def test_exact_marks_give_the_rig_back() -> None:
 
 
 def test_saved_files_are_those_of_a_fisheye_camera_and_rectify(tmp_path: Path) -> None:
-    result = solved_fisheye(0.005)
+    result = solved_fisheye(0.005, 0)
     save_calibration(result, tmp_path)
     text = (tmp_path / 'left.yaml').read_text()
     assert 'distortion_model: equidistant' in text

@@ -138,7 +138,7 @@ def test_wrong_type_is_refused(
 
 def test_wrong_type_of_a_part_of_a_board_is_refused() -> None:
     """Two of five rods are out of the image to the left, and one mark is hidden."""
-    image, placed = image_of(LIGHT, (-4.3, 1.2, 8.0))
+    image, placed = image_of(LIGHT, (-2.5, 1.2, 8.0))
     x, y = placed.marks_px(LEFT)[4, 2].astype(int)
     image[y - 10 : y + 10, x - 14 : x + 14] = 110
     assert detect_rods(image, DARK).messages == (SAYS_LIGHT,)

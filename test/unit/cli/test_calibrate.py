@@ -138,6 +138,7 @@ def _check_images(report: str, content: dict[str, Any]) -> None:
     assert vivid.sum() > 40 * content['boards'][0]['marks']
 
 
+@pytest.mark.long
 def test_chessboard_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert calibrate('--points', CHESSBOARD, '--output', tmp_path) == 0
     assert 'assumed to be 640x480' in capsys.readouterr().out

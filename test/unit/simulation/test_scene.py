@@ -39,6 +39,7 @@ def test_people_and_bicycle_have_their_sizes() -> None:
         assert min(depth) > 9.0 and max(depth) < 21.0
 
 
+@pytest.mark.long
 def test_end_points_are_in_both_images_and_on_their_owner() -> None:
     """The ray to an end point meets the thing itself within 15 cm, at the point or next to it."""
     rig = survey_rig()

@@ -141,6 +141,7 @@ def test_a_slanted_plane_is_continued_where_the_right_camera_does_not_see() -> N
 
 @pytest.mark.large
 @pytest.mark.kernel
+@pytest.mark.long
 def test_accurate_is_as_accurate_as_default_on_easy_pairs() -> None:
     bad = {}
     for preset in ('default', 'accurate'):

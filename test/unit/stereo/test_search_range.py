@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from binocular_recon.stereo.search_range import (
 WIDTH, HEIGHT = 640, 480
 
 
+@functools.cache
 def pair(disparities: int, shift: int = 0, seed: int = 0) -> tuple[FloatImage, FloatImage, float]:
     """Return grey images whose disparities are within shift..shift + disparities, and the largest.
 

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import functools
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from binocular_recon.errors import CalibrationError
 from binocular_recon.nodes.calibration import services as module
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
 from binocular_recon.nodes.calibration.services import BusyError, CalibrationServices
+from binocular_recon.nodes.calibration.steps import detect_pair
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rig import survey_rig
 from binocular_recon.simulation.rods import paper_board
@@ -50,6 +53,13 @@ class Crew(CalibrationServices):
 def _no_second_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not wait for what these tests never send."""
     monkeypatch.setattr(module, '_STILL_WITHIN_S', 0.0)
+
+
+@pytest.fixture(autouse=True, scope='module')
+def _marks_of_a_pair_are_detected_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, 'detect_pair', functools.cache(detect_pair))
+        yield
 
 
 def test_without_boards_each_service_says_what_to_do(tmp_path: Path) -> None:
