@@ -18,7 +18,7 @@ from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.holes import assess_holes
+from binocular_recon.stereo.holes import assess_holes, unexplained_holes
 from binocular_recon.stereo.validity import Validity
 
 # Filtered disparities stay this far inside the limits: more than two float32 steps at 4096 px.
@@ -99,7 +99,8 @@ class DisparityFilter:
         """Filter one frame; see `filter_disparity`."""
         _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
         measured = _measured(disparity_px, confidence, limits_px)
-        equations = normal_equations(measured, confidence, guide, self.config)
+        unexplained = unexplained_holes(measured)
+        equations = normal_equations(measured, confidence, guide, self.config, unexplained)
         system = self._system(*measured.shape)
         system.assemble(equations.weight, equations.link_east, equations.link_south)
         start = self._last_solution(measured.shape) if initial is None else initial
@@ -107,7 +108,7 @@ class DisparityFilter:
             start = None
         solution = system.solve(equations.data, self.config.wls_tolerance_px, start)
         low, high = limits_px
-        holes, validity = assess_holes(measured, solution.values)
+        holes, validity = assess_holes(measured, solution.values, unexplained)
         if reasons is not None:
             validity |= np.where(validity == Validity.MEASURED, 0, reasons & _REASONS)
         sigma = _sigma(measured, confidence, solution.values, holes)
