@@ -196,15 +196,18 @@ def _measured(
     disparity_px: FloatImage, confidence: FloatImage, limits_px: tuple[float, float]
 ) -> FloatImage:
     """Return the disparity; NaN where it is not valid."""
-    low, high = limits_px
-    valid = (disparity_px >= low) & (disparity_px <= high) & (confidence > 0)
-    if not valid.any():
+    low, high = (float(limit) for limit in limits_px)
+    rows = len(disparity_px)
+    measured, counts = np.empty(disparity_px.shape, np.float32), np.empty(rows, np.int64)
+    images = disparity_px, confidence, (low, high), measured, counts
+    over_strips(kernels.keep_measured, rows, *images)
+    if not counts.any():
         raise ImageError(
             f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
             ' check the disparity range, and that the images are rectified, overlap, have texture'
             ' and are larger than the correlation window'
         )
-    return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
+    return measured
 
 
 def _sigma(
