@@ -10,7 +10,7 @@ import numpy as np
 
 from binocular_recon._jit import over_strips
 from binocular_recon.config import FilterConfig
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
 from binocular_recon.stereo.holes.completion import complete, fill_from_nearest
 
@@ -38,7 +38,11 @@ class Equations(NamedTuple):
 
 
 def normal_equations(
-    measured_px: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
+    measured_px: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage,
+    config: FilterConfig,
+    unexplained: Mask | None = None,
 ) -> Equations:
     """Return the equations that the filter solves.
 
@@ -50,22 +54,33 @@ def normal_equations(
         As for `filter_disparity`.
     config : FilterConfig
         Options of the filter.
+    unexplained : (H, W) bool, optional
+        `unexplained_holes` of the disparity, if it is known.
 
     """
-    data, weight = _data_term(measured_px, confidence, guide, config)
+    data, weight = _data_term(measured_px, confidence, guide, config, unexplained)
     return Equations(data, weight, *_links(data, guide, config))
 
 
 def _data_term(
-    measured: FloatImage, confidence: FloatImage, guide: FloatImage, config: FilterConfig
+    measured: FloatImage,
+    confidence: FloatImage,
+    guide: FloatImage,
+    config: FilterConfig,
+    unexplained: Mask | None,
 ) -> tuple[FloatImage, FloatImage]:
     """Return b without holes and c of eq. 13."""
     if not config.wls_use_confidence:
         return fill_from_nearest(measured), np.ones_like(measured)
-    valid = np.isfinite(measured)
-    weight = np.where(valid, confidence, 0).clip(0, 1).astype(np.float32)
-    data, completed = complete(measured, weight, guide, extrapolate=config.wls_extrapolate)
-    return data, completed if config.wls_complete else weight
+    confidence = np.asarray(confidence, np.float32)
+    data, weight = complete(
+        measured,
+        confidence,
+        guide,
+        extrapolate=config.wls_extrapolate,
+        unexplained=unexplained,
+    )
+    return data, weight if config.wls_complete else np.where(np.isnan(measured), 0, weight)
 
 
 def _luminance(data: FloatImage, guide: FloatImage, config: FilterConfig) -> FloatImage:

@@ -49,6 +49,29 @@ def all_whole(values: Array) -> bool:
     return True
 
 
+@kernel
+def keep_measured(
+    disparity: Array,
+    confidence: Array,
+    limits: tuple[float, float],
+    measured: Array,
+    counts: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Copy disparities within limits that have a confidence, NaN for others; count them by row."""
+    low, high = limits
+    for y in range(start, stop):
+        count = 0
+        for x in range(disparity.shape[1]):
+            value = disparity[y, x]
+            # comparisons with NaN are false
+            valid = (value >= low) & (value <= high) & (confidence[y, x] > 0)
+            measured[y, x] = value if valid else np.float32(np.nan)
+            count += valid
+        counts[y] = count
+
+
 @inline_kernel
 def _absolute_difference(one: Array, other: Array, out: Array) -> None:
     for i in range(len(out)):

@@ -218,12 +218,12 @@ class System:
                 break
             alpha = pr / pAp
             black.run(gradient_kernels.update_solution, black.lattice, alpha, p, x)
-            # recomputed, not updated by A p, so that rounding errors do not accumulate in it
-            black.residual(rhs, x, residual)
             largest_step = alpha * float(sums[:, 2].max())
             errors.append(estimate.after_step(alpha, beta, largest_z, largest_step))
             if errors[-1] <= tolerance:
                 break
+            # recomputed, not updated by A p, so that rounding errors do not accumulate in it
+            black.residual(rhs, x, residual)
         return len(errors), errors[-1]
 
 

@@ -18,7 +18,7 @@ from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.filtering import _filter_kernels as kernels
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._wls_solver import System
-from binocular_recon.stereo.holes import assess_holes
+from binocular_recon.stereo.holes import assess_holes, unexplained_holes
 from binocular_recon.stereo.validity import Validity
 
 # Filtered disparities stay this far inside the limits: more than two float32 steps at 4096 px.
@@ -99,7 +99,8 @@ class DisparityFilter:
         """Filter one frame; see `filter_disparity`."""
         _check_sizes(disparity_px, confidence=confidence, guide=guide, initial=initial)
         measured = _measured(disparity_px, confidence, limits_px)
-        equations = normal_equations(measured, confidence, guide, self.config)
+        unexplained = unexplained_holes(measured)
+        equations = normal_equations(measured, confidence, guide, self.config, unexplained)
         system = self._system(*measured.shape)
         system.assemble(equations.weight, equations.link_east, equations.link_south)
         start = self._last_solution(measured.shape) if initial is None else initial
@@ -107,7 +108,7 @@ class DisparityFilter:
             start = None
         solution = system.solve(equations.data, self.config.wls_tolerance_px, start)
         low, high = limits_px
-        holes, validity = assess_holes(measured, solution.values)
+        holes, validity = assess_holes(measured, solution.values, unexplained)
         if reasons is not None:
             validity |= np.where(validity == Validity.MEASURED, 0, reasons & _REASONS)
         sigma = _sigma(measured, confidence, solution.values, holes)
@@ -195,15 +196,18 @@ def _measured(
     disparity_px: FloatImage, confidence: FloatImage, limits_px: tuple[float, float]
 ) -> FloatImage:
     """Return the disparity; NaN where it is not valid."""
-    low, high = limits_px
-    valid = (disparity_px >= low) & (disparity_px <= high) & (confidence > 0)
-    if not valid.any():
+    low, high = (float(limit) for limit in limits_px)
+    rows = len(disparity_px)
+    measured, counts = np.empty(disparity_px.shape, np.float32), np.empty(rows, np.int64)
+    images = disparity_px, confidence, (low, high), measured, counts
+    over_strips(kernels.keep_measured, rows, *images)
+    if not counts.any():
         raise ImageError(
             f'no pixel has a disparity within {low:g}..{high:g} px and a confidence above 0;'
             ' check the disparity range, and that the images are rectified, overlap, have texture'
             ' and are larger than the correlation window'
         )
-    return np.where(valid, disparity_px, np.float32(np.nan)).astype(np.float32, copy=False)
+    return measured
 
 
 def _sigma(

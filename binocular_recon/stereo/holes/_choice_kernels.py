@@ -48,12 +48,13 @@ def compare_ends_of_rows(
 ) -> None:
     """Compare what hole pixels of rows ``start`` to ``stop`` find in the west and in the east.
 
-    ``guide`` (H, W) has no NaN. ``costs`` must be infinite.
+    ``guide`` (H, W) has no NaN. ``costs`` may hold anything.
     """
     width = measured.shape[1]
     for y in range(start, stop):
         row, fill, levels = measured[y], filled[y], guide[y]
         least, value, own = costs.least[y], costs.value[y], costs.own[y]
+        least[:], own[:] = _FAR, _FAR
         for side in range(2):
             end, level, before, steps, edge = _NAN, _ZERO, _ZERO, _ZERO, _ZERO
             for i in range(width):

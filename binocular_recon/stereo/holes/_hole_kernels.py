@@ -32,6 +32,49 @@ def _ends(row: Array, begin: int, end: int) -> Any:
 
 
 @kernel
+def keep_confident(
+    disparity: Array, confidence: Array, measured: Array, start: int, stop: int
+) -> None:
+    """Copy disparities whose confidence is above 0; the others become NaN."""
+    for y in range(start, stop):
+        for x in range(disparity.shape[1]):
+            known = confidence[y, x] > 0  # false for NaN
+            measured[y, x] = disparity[y, x] if known else _NAN
+
+
+@kernel
+def complete_strip(
+    measured: Array,
+    confidence: Array,
+    smooth: Array,
+    completed: float,
+    filled: Array,
+    weight: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Smooth the filled pixels of rows, and write the weight: ``completed`` in holes."""
+    low, one = np.float32(completed), np.float32(1)
+    for y in range(start, stop):
+        for x in range(measured.shape[1]):
+            hole = np.isnan(measured[y, x])
+            filled[y, x] = smooth[y, x] if hole else filled[y, x]
+            weight[y, x] = low if hole else min(confidence[y, x], one)
+
+
+@kernel
+def continue_slopes(
+    rows: Array, ends: Array, values: Array, slopes: Array, limits: Array, filled: Array
+) -> None:
+    """Give the pixels before column ``ends`` of rows the slope of what follows, within limits."""
+    low, high = float(limits[0]), float(limits[1])
+    for i in range(len(rows)):
+        value, slope = float(values[i]), float(slopes[i])
+        for x in range(ends[i]):
+            filled[rows[i], x] = min(max(value + slope * (x - ends[i]), low), high)
+
+
+@kernel
 def fill_background_strip(disparity: Array, filled: Array, start: int, stop: int) -> None:
     """Give each run of NaN the smaller disparity of its two ends: that of the background."""
     width = disparity.shape[1]

@@ -50,8 +50,7 @@ def follow_image(
     scale = np.float32(CONTRAST / deviation if deviation > 0 else 1)
     levels = cv2.GaussianBlur(np.where(known, guide, 0) * scale, (3, 3), 0.8)
     shape = measured_px.shape
-    infinite = np.float32(np.inf)
-    costs = Costs(np.full(shape, infinite), np.empty(shape, np.float32), np.full(shape, infinite))
+    costs = Costs(*(np.empty(shape, np.float32) for _ in Costs._fields))
     images = measured_px, filled_px, np.asarray(levels, np.float32), costs
     over_strips(compare_ends_of_rows, shape[0], *images)
     over_strips(compare_ends_of_columns, shape[1], *images, strip=128)

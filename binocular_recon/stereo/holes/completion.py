@@ -12,8 +12,11 @@ import numpy.typing as npt
 from binocular_recon._jit import over_strips
 from binocular_recon.images import FloatImage, Mask
 from binocular_recon.stereo.holes._hole_kernels import (
+    complete_strip,
+    continue_slopes,
     fill_background_strip,
     fill_nearest_strip,
+    keep_confident,
     mark_unexplained,
     raise_to_columns,
 )
@@ -37,6 +40,7 @@ def complete(
     guide: FloatImage | None = None,
     *,
     extrapolate: bool = False,
+    unexplained: Mask | None = None,
 ) -> tuple[FloatImage, FloatImage]:
     """Complete a disparity map before it is filtered.
 
@@ -45,12 +49,14 @@ def complete(
     disparity_px : (H, W) float32
         Disparity; NaN = none.
     confidence : (H, W) float32
-        Confidence of each pixel; 0 = none.
+        Confidence of each pixel; 0 or NaN = none, above 1 counts as 1.
     guide : (H, W) float32, optional
         Grey levels of the left image, for `choice.follow_image`.
     extrapolate : bool
         Whether columns that the right camera does not see continue the slope of the surface next
         to them.
+    unexplained : (H, W) bool, optional
+        From `unexplained_holes`, if it is known.
 
     Returns
     -------
@@ -63,10 +69,11 @@ def complete(
         `COMPLETED_CONFIDENCE` in holes.
 
     """
-    holes = np.isnan(disparity_px) | ~(confidence > 0)
-    measured = np.where(holes, np.float32(np.nan), disparity_px)
+    rows, measured = len(disparity_px), np.empty_like(disparity_px)
+    over_strips(keep_confident, rows, disparity_px, confidence, measured)
     filled = fill_from_background(measured)
-    unexplained = unexplained_holes(measured)
+    if unexplained is None:
+        unexplained = unexplained_holes(measured)
     over_strips(raise_to_columns, filled.shape[1], measured, unexplained, filled, strip=128)
     if np.isnan(filled[0, 0]):
         return filled, np.zeros_like(confidence)
@@ -74,8 +81,10 @@ def complete(
         follow_image(measured, filled, guide, unexplained)
     if extrapolate:
         _extrapolate(measured, filled)
-    smooth = np.where(holes, cv2.medianBlur(filled, 5), filled)
-    return smooth, np.where(holes, np.float32(COMPLETED_CONFIDENCE), confidence)
+    smooth, weight = cv2.medianBlur(filled, 5), np.empty_like(filled)
+    images = measured, confidence, smooth, COMPLETED_CONFIDENCE, filled, weight
+    over_strips(complete_strip, rows, *images)
+    return filled, weight
 
 
 def fill_from_background(disparity_px: FloatImage) -> FloatImage:
@@ -159,9 +168,9 @@ def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
     slope = median_filter(slopes, SLOPE_ROWS)
     spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
     slope *= 1 - np.minimum(spread / np.maximum(np.abs(slope), 1e-6), 1) ** 2
-    low, high = np.nanmin(measured_px), np.nanmax(measured_px)
-    for row, end, value, step in zip(rows, first[rows], start[rows], slope, strict=True):
-        filled_px[row, :end] = np.clip(value + step * np.arange(-end, 0), low, high)
+    # fmin and fmax ignore NaN
+    limits = np.array([limit.reduce(measured_px, axis=None) for limit in (np.fmin, np.fmax)])
+    continue_slopes(rows, first[rows], start[rows], slope, limits, filled_px)
 
 
 def _row_slopes(measured_px: FloatImage, first: npt.NDArray[np.intp]) -> FloatImage:

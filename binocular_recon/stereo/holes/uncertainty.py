@@ -18,18 +18,24 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon.images import ByteImage, FloatImage, Mask, connected_to_border
 from binocular_recon.stereo.holes._candidate_kernels import (
+    Surroundings,
+    Weights,
     compare_along_columns,
     compare_along_rows,
+    sum_variance,
 )
 from binocular_recon.stereo.holes.completion import unexplained_holes
 from binocular_recon.stereo.validity import Validity
 
-# Weights of the variance along rows nearby and of the mean square difference from the nearest
-# measured pixels in four directions, which counts up to a multiple of the former.
-ROWS, CANDIDATES, MOST_CANDIDATES = 0.4, 0.6, 2.0
-# Factor on both in holes that half-occlusion does not explain. Standard deviation per pixel of
-# distance from the nearest measured one, in these and in other extrapolated ones.
-UNEXPLAINED, DISTANCE, DISTANCE_BEYOND = 2.0, 2.0, 0.25
+WEIGHTS = Weights(
+    rows=0.4,
+    candidates=0.6,
+    most_candidates=2.0,
+    unexplained=2.0,
+    distance=2.0,
+    distance_beyond=0.25,
+)
+_MARKS = int(Validity.MEASURED), int(Validity.FILLED), int(Validity.EXTRAPOLATED)
 # "Nearby": squares of these shares of the image width, each with how much the next larger one, at
 # last the image, counts beside a square that is all measured.
 NEARBY = (1 / 4, 0.02), (1 / 8, 0.1)
@@ -37,7 +43,9 @@ NEARBY = (1 / 4, 0.02), (1 / 8, 0.1)
 _STRIDE = 4
 
 
-def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatImage, ByteImage]:
+def assess_holes(
+    measured_px: FloatImage, filled_px: FloatImage, unexplained: Mask | None = None
+) -> tuple[FloatImage, ByteImage]:
     """Return the variance of unmatched pixels, and which are filled and which extrapolated.
 
     Parameters
@@ -46,11 +54,13 @@ def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatI
         Measured disparity; NaN = none.
     filled_px : (H, W) float32
         Disparity of every pixel.
+    unexplained : (H, W) bool, optional
+        From `unexplained_holes`, if it is known.
 
     Returns
     -------
     variance : (H, W) float32
-        Variance of unmatched pixels, px^2; meaningless in measured ones.
+        Variance of unmatched pixels, px^2; 0 in measured ones.
     validity : (H, W) uint8
         `Validity.MEASURED`, ``FILLED`` or ``EXTRAPOLATED``.
 
@@ -62,47 +72,23 @@ def assess_holes(measured_px: FloatImage, filled_px: FloatImage) -> tuple[FloatI
 
     """
     height, width = measured_px.shape
-    variance, counts = np.empty_like(measured_px), np.empty_like(measured_px)
-    over_strips(compare_along_rows, height, measured_px, filled_px, variance, counts)
-    over_strips(compare_along_columns, width, measured_px, filled_px, variance, counts, strip=256)
-    variance /= np.maximum(counts, 1, out=counts)
-    nearby = _row_variance(measured_px)
-    np.minimum(variance, np.float32(MOST_CANDIDATES) * nearby, out=variance)
-    variance *= np.float32(CANDIDATES)
-    variance += np.float32(ROWS) * nearby
-    hole = np.isnan(measured_px)
-    unexplained = unexplained_holes(measured_px)
-    extrapolated = _reaching_the_border(unexplained) | ~_enclosed(~hole)
-    distance = cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 3)
-    factor = np.where(extrapolated, np.float32(DISTANCE_BEYOND), np.float32(0))
-    factor[unexplained] = DISTANCE
-    distance *= factor
-    variance[unexplained] *= np.float32(UNEXPLAINED)
-    variance += distance * distance
-    validity = np.full(measured_px.shape, Validity.FILLED, np.uint8)
-    validity[extrapolated] = Validity.EXTRAPOLATED
-    validity[~hole] = Validity.MEASURED
-    return variance, validity
-
-
-def _enclosed(measured: Mask) -> Mask:
-    """Return which pixels have measured ones on both sides in their row or in their column."""
-    enclosed = np.zeros_like(measured)
-    for lines, inside in ((measured, enclosed), (measured.T, enclosed.T)):
-        some = np.asarray(lines.any(axis=1))
-        first, after = lines.argmax(axis=1), lines[:, ::-1].argmax(axis=1)
-        last = lines.shape[1] - 1 - after
-        index = np.arange(lines.shape[1])
-        inside |= some[:, None] & (index >= first[:, None]) & (index <= last[:, None])
-    return enclosed
-
-
-def _reaching_the_border(region: Mask) -> Mask:
-    """Return the connected parts of a region that reach the image border."""
+    variance, found = np.empty_like(measured_px), np.empty(measured_px.shape, np.uint8)
+    over_strips(compare_along_rows, height, measured_px, filled_px, variance, found)
+    over_strips(compare_along_columns, width, measured_px, filled_px, variance, found, strip=256)
+    hole = np.isnan(measured_px).view(np.uint8)
+    if unexplained is None:
+        unexplained = unexplained_holes(measured_px)
     # every second row and column suffice, and are four times as fast
-    coarse = connected_to_border(region[::2, ::2]).repeat(2, axis=0).repeat(2, axis=1)
-    found: Mask = region & coarse[: region.shape[0], : region.shape[1]]
-    return found
+    around = Surroundings(
+        found,
+        nearby=_row_variance(measured_px),
+        distance=np.asarray(cv2.distanceTransform(hole, cv2.DIST_L2, 3)),
+        unexplained=unexplained,
+        open=connected_to_border(unexplained[::2, ::2]),
+    )
+    validity = np.empty(measured_px.shape, np.uint8)
+    over_strips(sum_variance, height, measured_px, around, WEIGHTS, _MARKS, variance, validity)
+    return variance, validity
 
 
 def _row_variance(measured_px: FloatImage) -> FloatImage:

@@ -11,7 +11,7 @@ import pytest
 from binocular_recon.config import ChainConfig, MatchConfig
 from binocular_recon.evaluation.speed.synthetic import synthetic_pair
 from binocular_recon.images import ByteImage, FloatImage, mark_empty, to_grey
-from binocular_recon.stereo.holes.uncertainty import CANDIDATES, DISTANCE, assess_holes
+from binocular_recon.stereo.holes.uncertainty import WEIGHTS, assess_holes
 from binocular_recon.stereo.matching import match
 from binocular_recon.stereo.pipeline import DisparityEstimate, estimate_disparity
 from binocular_recon.stereo.validity import Validity
@@ -208,21 +208,20 @@ def naive(measured: FloatImage, filled: FloatImage) -> npt.NDArray[np.float64]:
 @pytest.mark.kernel
 def test_candidates_of_holes_equal_the_naive_twin(monkeypatch: pytest.MonkeyPatch) -> None:
     room = 'binocular_recon.stereo.holes.uncertainty'
-    for name, value in (('ROWS', 0.0), ('UNEXPLAINED', 1.0), ('DISTANCE_BEYOND', DISTANCE)):
-        monkeypatch.setattr(f'{room}.{name}', value)
+    weights = WEIGHTS._replace(rows=0.0, unexplained=1.0, distance_beyond=WEIGHTS.distance)
+    monkeypatch.setattr(f'{room}.WEIGHTS', weights)
     most = np.full((23, 31), 1e6, np.float32)
     monkeypatch.setattr(f'{room}._row_variance', lambda _: most)
-    monkeypatch.setattr(f'{room}.unexplained_holes', np.isnan)
     rng = np.random.default_rng(5)
     measured = rng.uniform(0, 40, (23, 31)).astype(np.float32)
     measured[rng.uniform(size=measured.shape) < 0.6] = np.nan
     measured[5:12, 8:25] = np.nan
     filled = np.where(np.isnan(measured), rng.uniform(0, 40, measured.shape), measured)
     filled = filled.astype(np.float32)
-    variance, validity = assess_holes(measured, filled)
+    variance, validity = assess_holes(measured, filled, np.isnan(measured))
     hole = np.isnan(measured)
     distance = cv2.distanceTransform(hole.astype(np.uint8), cv2.DIST_L2, 3)
-    expected = CANDIDATES * naive(measured, filled) + DISTANCE**2 * distance**2
+    expected = WEIGHTS.candidates * naive(measured, filled) + WEIGHTS.distance**2 * distance**2
     np.testing.assert_allclose(variance[hole], expected[hole], rtol=1e-4)
     np.testing.assert_array_equal(validity == Validity.MEASURED, ~hole)
 

@@ -136,6 +136,39 @@ def test_error_and_its_estimate_on_small_images() -> None:
         assert error <= solved.error_estimate + ROUNDING_PX <= TOLERANCE_PX + 2 * ROUNDING_PX
 
 
+def streaks(rng: np.random.Generator) -> Equations:
+    """Make rows that are held together and apart from each other, with islands among them.
+
+    The coarse grids see no line of odd row: such rows beside islands converge slowest of all.
+    """
+    height, width = 47, 90
+    link_east = np.where(rng.random((height, width - 1)) < 0.1, 2e-3, 200)
+    link_south = np.where(rng.random((height - 1, width)) < 0.2, 200, 2e-3)
+    weight = np.full((height, width), 0.06)
+    arrays = (rng.uniform(0, 100, (height, width)), weight, link_east, link_south)
+    return Equations(*(a.astype(np.float32) for a in arrays))
+
+
+@pytest.mark.parametrize('kind', ['streaks', 'isolated regions', 'few data', 'huge lambda'])
+def test_hard_systems_equal_the_direct_solution(kind: str) -> None:
+    rng = np.random.default_rng(11)
+    data, weight, link_east, link_south = streaks(rng)
+    if kind == 'isolated regions':  # 6 x 9 pixels each, whose links to the next are cut
+        link_east[:], link_south[:] = 200, 200
+        link_east[:, 8::9], link_south[5::6] = 1e-6, 1e-6
+    elif kind == 'few data':
+        weight[rng.random(weight.shape) < 0.97] = 0
+    elif kind == 'huge lambda':
+        link_east *= 1e4
+        link_south *= 1e4
+    equations = Equations(data, weight, link_east, link_south)
+    solved = equations.system.solve(data, TOLERANCE_PX)
+    rounding = 2 * ROUNDING_PX
+    assert np.abs(solved.values - equations.exact).max() <= TOLERANCE_PX + rounding
+    assert solved.error_estimate <= TOLERANCE_PX + rounding
+    assert solved.iterations <= 60
+
+
 @pytest.mark.kernel
 @pytest.mark.parametrize(
     'shape', [(1, 1), (1, 2), (2, 1), (1, 23), (23, 1), (2, 2), (3, 5), (4, 31), (13, 9), (16, 16)]
