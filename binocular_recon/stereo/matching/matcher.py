@@ -17,6 +17,7 @@ from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
 from binocular_recon.stereo.matching._selection_kernels import select_strip
+from binocular_recon.stereo.matching.coarse_to_fine import coarse_config, refine_coarse
 from binocular_recon.stereo.matching.consensus import to_left_image, vote, voter_configs
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
@@ -127,25 +128,42 @@ def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> M
     if min(left.shape) < config.correlation_window_size:
         none = np.full(left.shape, np.nan, np.float32)
         return none, none.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
-    choose = _semi_global.choose_disparities if config.semi_global else _winner_takes_all
-    disparity, validity = choose(left, right, config)
-    drop_speckles(disparity, config)
+    near_edges = None
+    if config.coarse_to_fine and (min(left.shape) + 1) // 2 >= config.correlation_window_size:
+        coarse = _choose(halve(left), halve(right), coarse_config(config), ends=True)
+        disparity, validity, near_edges = refine_coarse(left, right, coarse, config)
+    else:
+        disparity, validity = _choose(left, right, config)
     if config.subpixel:
-        disparity, sigma = smooth(disparity, left)
+        disparity, sigma = smooth(disparity, left, near_edges)
     else:
         sigma = np.zeros_like(disparity)
     return disparity, sigma, validity
 
 
+def _choose(
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
+) -> tuple[FloatImage, ByteImage]:
+    """Return the disparity of each pixel, NaN = none, in whole regions, and the validity.
+
+    With ``ends`` the first and the last disparity are matches.
+    """
+    choose = _semi_global.choose_disparities if config.semi_global else _winner_takes_all
+    disparity, validity = choose(left, right, config, ends=ends)
+    drop_speckles(disparity, config)
+    return disparity, validity
+
+
 def _winner_takes_all(
-    left: FloatImage, right: FloatImage, config: MatchConfig
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool
 ) -> tuple[FloatImage, ByteImage]:
     """Return the disparity of each pixel's best score, NaN = none, and the validity."""
     pair, _ = prepare_pair(left, right, config, border=0)
     disparity = np.full(left.shape, np.nan, np.float32)
     validity = np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
     results = disparity, validity
-    over_strips(select_strip, len(left), pair, selection_of(config), results, strip=48)
+    selection = selection_of(config, ends=ends)
+    over_strips(select_strip, len(left), pair, selection, results, strip=48)
     return results
 
 
