@@ -271,7 +271,12 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
         'wls_disparity_steps': 0.0,
     },
     # an eighth of the disparities of all pixels: for high frame rates
-    'fast': {'coarse_to_fine': True},
+    'fast': {
+        'coarse_to_fine': True,
+        'correlation_window_size': 3,
+        'uniqueness_ratio': 2.0,
+        'half_resolution': False,
+    },
     'default': {},
     # several matches per pair: where time matters less
     'accurate': {'consensus': True},

@@ -8,15 +8,15 @@ window follows slanted surfaces and stays on one side of an edge. Pixels are sco
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from binocular_recon._jit import Array, inline_kernel, kernel
-from binocular_recon._simd import LANES, at_most, larger, load, splat, store
+from binocular_recon._simd import LANES, at_most, larger, load, smaller, splat, store
 from binocular_recon.stereo import _validity_kernels as reason
 
-RADIUS = 2  # of the window
+RADIUS = 1  # of the window
 SIDE = 2 * RADIUS + 1
 BAND = 2  # disparities on each side of a guess
 OFFSETS = 2 * BAND + 1
@@ -44,22 +44,59 @@ class GuidedPair(NamedTuple):
     least_energy: float
 
 
+class Work(NamedTuple):
+    """What a tile needs: its pixels row by row, `LANES` columns, with its border.
+
+    ``bases``: the guesses; ``warped`` (OFFSETS, ...): right pixels at each offset from them;
+    ``sums``: sums over the rows of windows, of levels and squares of the left image, then of
+    levels, squares and products at each offset; ``scores`` (OFFSETS, ...); ``found`` and ``best``:
+    the best disparity and its score.
+    """
+
+    bases: Array
+    warped: Array
+    sums: Array
+    scores: Array
+    found: Array
+    best: Array
+
+
 @inline_kernel
-def _warp(pair: GuidedPair, surface: int, y: int, x: int, warped: Array, bases: Array) -> None:
+def _new_work() -> Work:
+    size, spare = TILE_ROWS * LANES, 2 * LANES
+    whole = size + 2 * RADIUS * LANES + spare
+    kind = np.float32
+    return Work(
+        np.zeros(whole, kind),
+        np.zeros((OFFSETS, whole), kind),
+        np.zeros((2 + 3 * OFFSETS, size + spare), kind),
+        np.zeros((OFFSETS, size), kind),
+        np.zeros(size, kind),
+        np.zeros(size, kind),
+    )
+
+
+@inline_kernel
+def _warp(
+    pair: GuidedPair, surface: int, tile: tuple[int, int], wanted: Array, work: Work
+) -> None:
     """Copy the pixels of the right image that the guesses of a tile's pixels point to.
 
-    The tile's first pixel is (``y``, ``x``). Writes, per row and column of the tile with its
-    border, the guess to ``bases`` and the pixel at each offset from it to ``warped``.
+    Of the rows of the tile, with its border, that are needed for those ``wanted``.
     """
+    top, x = tile
     height, width = pair.left.shape[0] - 2 * RADIUS, pair.left.shape[1] - 2 * RADIUS - LANES
     last = width + 2 * MARGIN - OFFSETS
+    bases, warped = work.bases, work.warped
     for j in range(TILE_ROWS + 2 * RADIUS):
-        row = min(max(y + j - RADIUS, 0), height - 1)
-        guesses, right = pair.guesses[surface, row // 2], pair.right[row + RADIUS]
+        if not wanted[max(j - 2 * RADIUS, 0) : j + 1].any():
+            continue
+        row = min(max(top + j - RADIUS, 0), height - 1)
+        guesses, right = pair.guesses[surface, row >> 1], pair.right[row + RADIUS]
         at = j * LANES
         for i in range(LANES):
             column = min(max(x + i - RADIUS, 0), width - 1)
-            guess = guesses[column // 2]
+            guess = guesses[column >> 1]
             bases[at + i] = guess
             first = min(max(column - guess - BAND + MARGIN, 0), last)
             for k in range(OFFSETS):
@@ -67,88 +104,101 @@ def _warp(pair: GuidedPair, surface: int, y: int, x: int, warped: Array, bases: 
 
 
 @inline_kernel
-def _row_sums(sums: Array) -> None:
-    """Replace each number by the sum of itself and those up to the window's side behind it."""
-    total = load(sums, 0)
-    for i in range(1, SIDE):
-        total = total + load(sums, i)
-    store(sums, 0, total)
-
-
-@inline_kernel
-def _score(
-    pair: GuidedPair,
-    warped: Array,
-    bases: Array,
-    tile: tuple[int, int, int],
-    work: Array,
-    results: tuple[Array, Array],
-) -> None:
-    """Score the windows of a tile, and keep the best disparity of each pixel.
-
-    Scores are the square of the NCC with its sign: they have the same maximum, without a root.
-    """
-    top, x, rows = tile
-    found, best = results
-    scores, sums_r, sums_rr, sums_lr = work[0], work[1], work[2], work[3]
-    count, zero, half = splat(np.float32(SIDE * SIDE)), splat(np.float32(0)), splat(np.float32(0.5))
-    no_score, least = splat(NO_SCORE), splat(np.float32(pair.least_energy))
-    scored, one = splat(np.float32(-1)), splat(np.float32(1))
-    for j in range(rows):
+def _sum_columns(pair: GuidedPair, tile: tuple[int, int], wanted: Array, work: Work) -> None:
+    """Sum levels, squares and products over the rows of the windows of each wanted row."""
+    top, x = tile
+    zero = splat(np.float32(0))
+    warped, sums = work.warped, work.sums
+    for j in range(TILE_ROWS):
+        if not wanted[j]:
+            continue
         sum_l = sum_ll = zero
         for m in range(SIDE):
             level = load(pair.left[top + j + m], x)
             sum_l, sum_ll = sum_l + level, sum_ll + level * level
-        store(sums_r, 0, sum_l)
-        store(sums_rr, 0, sum_ll)
-        _row_sums(sums_r)
-        _row_sums(sums_rr)
-        sum_l = load(sums_r, 0)
-        energy_l = load(sums_rr, 0) * count - sum_l * sum_l
+        store(sums[0], j * LANES, sum_l)
+        store(sums[1], j * LANES, sum_ll)
         for k in range(OFFSETS):
             sum_r = sum_rr = sum_lr = zero
             for m in range(SIDE):
                 level = load(warped[k], (j + m) * LANES)
                 sum_r, sum_rr = sum_r + level, sum_rr + level * level
                 sum_lr = sum_lr + level * load(pair.left[top + j + m], x)
-            store(sums_r, 0, sum_r)
-            store(sums_rr, 0, sum_rr)
-            store(sums_lr, 0, sum_lr)
-            _row_sums(sums_r)
-            _row_sums(sums_rr)
-            _row_sums(sums_lr)
-            sum_r = load(sums_r, 0)
-            energy_r = load(sums_rr, 0) * count - sum_r * sum_r
-            covariance = load(sums_lr, 0) * count - sum_l * sum_r
-            score = covariance * larger(covariance, zero - covariance) / (energy_l * energy_r)
-            score = at_most(least, energy_l, score, no_score)
-            store(scores, k * LANES, at_most(least, energy_r, score, no_score))
-        base = load(bases, (j + RADIUS) * LANES + RADIUS)
-        highest, value = load(best, j * LANES), load(found, j * LANES)
-        for k in range(OFFSETS):
-            score = load(scores, k * LANES)
-            offset = zero
-            if 0 < k < OFFSETS - 1:
-                before, after = load(scores, (k - 1) * LANES), load(scores, (k + 1) * LANES)
-                curvature = score + score - before - after
-                offset = half * (after - before) / larger(curvature, splat(np.float32(1e-6)))
-                offset = at_most(curvature, zero, zero, offset)
-                offset = at_most(scored, before, at_most(scored, after, offset, zero), zero)
-                offset = at_most(offset, one, at_most(zero - one, offset, offset, zero), zero)
-            value = at_most(score, highest, value, base + splat(np.float32(k - BAND)) + offset)
-            highest = larger(highest, score)
-        store(best, j * LANES, highest)
-        store(found, j * LANES, value)
+            store(sums[3 * k + 2], j * LANES, sum_r)
+            store(sums[3 * k + 3], j * LANES, sum_rr)
+            store(sums[3 * k + 4], j * LANES, sum_lr)
 
 
 @inline_kernel
-def _has_edge(edges: Array, tile: tuple[int, int, int]) -> bool:
-    """Return whether the surfaces differ anywhere in a tile."""
-    top, x, rows = tile
+def _window_sum(sums: Array, at: int) -> Any:
+    """Return the sums over whole windows from those of their columns."""
+    total = load(sums, at)
+    for i in range(1, SIDE):
+        total = total + load(sums, at + i)
+    return total
+
+
+@inline_kernel
+def _score(pair: GuidedPair, wanted: Array, work: Work) -> None:
+    """Score the windows of a tile's wanted rows.
+
+    Scores are the square of the NCC with its sign: they have the same maximum, without a root.
+    """
+    count, zero = splat(np.float32(SIDE * SIDE)), splat(np.float32(0))
+    no_score, least = splat(NO_SCORE), splat(np.float32(pair.least_energy))
+    sums, scores = work.sums, work.scores
+    for j in range(TILE_ROWS):
+        if not wanted[j]:
+            continue
+        at = j * LANES
+        sum_l = _window_sum(sums[0], at)
+        energy_l = _window_sum(sums[1], at) * count - sum_l * sum_l
+        for k in range(OFFSETS):
+            sum_r = _window_sum(sums[3 * k + 2], at)
+            energy_r = _window_sum(sums[3 * k + 3], at) * count - sum_r * sum_r
+            covariance = _window_sum(sums[3 * k + 4], at) * count - sum_l * sum_r
+            score = covariance * larger(covariance, zero - covariance) / (energy_l * energy_r)
+            score = at_most(least, energy_l, score, no_score)
+            store(scores[k], at, at_most(least, energy_r, score, no_score))
+
+
+@inline_kernel
+def _keep_best(wanted: Array, work: Work) -> None:
+    """Keep the best disparity of each pixel of a tile, at the maximum of a parabola."""
+    zero, one, half = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(0.5))
+    scored, flat = splat(np.float32(-1)), splat(np.float32(1e-6))
+    scores, found, best = work.scores, work.found, work.best
+    for j in range(TILE_ROWS):
+        if not wanted[j]:
+            continue
+        at = j * LANES
+        base = load(work.bases, (j + RADIUS) * LANES + RADIUS)
+        highest, value = load(best, at), load(found, at)
+        for k in range(OFFSETS):
+            score = load(scores[k], at)
+            offset = zero
+            if 0 < k < OFFSETS - 1:
+                before, after = load(scores[k - 1], at), load(scores[k + 1], at)
+                curvature = score + score - before - after
+                offset = half * (after - before) / larger(curvature, flat)
+                offset = at_most(curvature, zero, zero, offset)
+                offset = at_most(scored, before, at_most(scored, after, offset, zero), zero)
+                offset = larger(smaller(offset, one), zero - one)
+            value = at_most(score, highest, value, base + splat(np.float32(k - BAND)) + offset)
+            highest = larger(highest, score)
+        store(best, at, highest)
+        store(found, at, value)
+
+
+@inline_kernel
+def _find_edges(edges: Array, tile: tuple[int, int], rows: int, wanted: Array) -> bool:
+    """Mark the first ``rows`` rows of a tile in which the surfaces differ."""
+    top, x = tile
+    end = min((x + INNER + 1) >> 1, edges.shape[1])
     some = False
-    for j in range(top // 2, (top + rows + 1) // 2):
-        for i in range(x // 2, min((x + INNER + 1) // 2, edges.shape[1])):
-            some |= edges[j, i]
+    for j in range(TILE_ROWS):
+        wanted[j] = j < rows and edges[(top + j) >> 1, x >> 1 : end].any()
+        some |= wanted[j]
     return some
 
 
@@ -168,26 +218,32 @@ def refine_strip(
     """
     guesses, doubtful, disparity = images
     width = disparity.shape[1]
-    warped = np.zeros((OFFSETS, (TILE_ROWS + 2 * RADIUS) * LANES), np.float32)
-    bases = np.zeros((TILE_ROWS + 2 * RADIUS + 1) * LANES, np.float32)
-    work = np.zeros((4, OFFSETS * LANES), np.float32)
-    found, best = np.zeros(TILE_ROWS * LANES, np.float32), np.zeros(TILE_ROWS * LANES, np.float32)
+    work, wanted = _new_work(), np.empty(TILE_ROWS, np.bool_)
+    found, best = work.found, work.best
+    limit, none = np.float32(clear), np.float32(np.nan)
     for top in range(start, stop, TILE_ROWS):
+        rows = min(TILE_ROWS, stop - top)
         for x in range(0, width, INNER):
-            tile = (top, x, min(TILE_ROWS, stop - top))
-            surfaces = pair.guesses.shape[0] if _has_edge(pair.edges, tile) else 1
+            tile = (top, x)
             best[:] = NO_SCORE
-            for surface in range(surfaces):
-                _warp(pair, surface, top, x, warped, bases)
-                _score(pair, warped, bases, tile, work, (found, best))
-            for j in range(tile[2]):
-                y = top + j
+            for surface in range(pair.guesses.shape[0]):
+                if surface == 0:
+                    for j in range(TILE_ROWS):
+                        wanted[j] = j < rows
+                elif surface == 1 and not _find_edges(pair.edges, tile, rows, wanted):
+                    break
+                _warp(pair, surface, tile, wanted, work)
+                _sum_columns(pair, tile, wanted, work)
+                _score(pair, wanted, work)
+                _keep_best(wanted, work)
+            for j in range(rows):
+                own, unsure = guesses[(top + j) >> 1], doubtful[(top + j) >> 1]
+                out = disparity[top + j]
                 for i in range(min(INNER, width - x)):
-                    score = best[j * LANES + i]
-                    value = np.float32(2) * guesses[y // 2, (x + i) // 2]
-                    value = found[j * LANES + i] if score > NO_SCORE else value
-                    kept = score > clear or not doubtful[y // 2, (x + i) // 2]
-                    disparity[y, x + i] = value if kept else np.float32(np.nan)
+                    half, score = (x + i) >> 1, best[j * LANES + i]
+                    value = found[j * LANES + i] if score > NO_SCORE else own[half] + own[half]
+                    kept = (score > limit) | (unsure[half] == 0)
+                    out[x + i] = value if kept else none
 
 
 @kernel
