@@ -274,7 +274,6 @@ PRESETS: dict[str, dict[str, OptionValue]] = {
     'fast': {
         'coarse_to_fine': True,
         'correlation_window_size': 3,
-        'uniqueness_ratio': 2.0,
         'half_resolution': False,
     },
     'default': {},

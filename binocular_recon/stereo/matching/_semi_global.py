@@ -30,7 +30,7 @@ STRIP_PAIR = 256
 
 
 def choose_disparities(
-    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
 ) -> tuple[FloatImage, ByteImage]:
     """Choose the disparities of a checked pair by semi-global matching.
 

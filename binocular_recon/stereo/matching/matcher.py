@@ -17,7 +17,7 @@ from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
 from binocular_recon.stereo.matching._selection_kernels import select_strip
-from binocular_recon.stereo.matching.coarse_to_fine import coarse_config, refine_coarse
+from binocular_recon.stereo.matching.coarse_to_fine import coarse_config, is_noise, refine_coarse
 from binocular_recon.stereo.matching.consensus import to_left_image, vote, voter_configs
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
@@ -130,8 +130,7 @@ def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> M
         return none, none.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
     near_edges = None
     if config.coarse_to_fine and (min(left.shape) + 1) // 2 >= config.correlation_window_size:
-        coarse = _choose(halve(left), halve(right), coarse_config(config), ends=True)
-        disparity, validity, near_edges = refine_coarse(left, right, coarse, config)
+        disparity, validity, near_edges = _coarse_to_fine(left, right, config)
     else:
         disparity, validity = _choose(left, right, config)
     if config.subpixel:
@@ -139,6 +138,17 @@ def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> M
     else:
         sigma = np.zeros_like(disparity)
     return disparity, sigma, validity
+
+
+def _coarse_to_fine(
+    left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, ByteImage, ByteImage]:
+    """Return the result of `refine_coarse` after a match at half resolution."""
+    half = halve(left)
+    disparity, validity = _choose(half, halve(right), coarse_config(config), ends=True)
+    noise = is_noise(left, half)
+    disparity[noise], validity[noise] = np.nan, Validity.LOW_TEXTURE
+    return refine_coarse(left, right, (disparity, validity), config)
 
 
 def _choose(
@@ -155,7 +165,7 @@ def _choose(
 
 
 def _winner_takes_all(
-    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
 ) -> tuple[FloatImage, ByteImage]:
     """Return the disparity of each pixel's best score, NaN = none, and the validity."""
     pair, _ = prepare_pair(left, right, config, border=0)

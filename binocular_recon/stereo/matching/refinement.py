@@ -79,8 +79,8 @@ def smooth(
     left : (H, W) float32
         Left image, grey levels.
     near_edges : (H, W) uint8, optional
-        1 where disparities may be on the wrong side of an edge. Given, only these pass a median,
-        the weighted one, and only if they differ from it by more than `WRONG_SIDE_PX`.
+        1 where disparities may be on the wrong side of an edge. Given, only these are replaced by
+        the weighted median, and only if they differ from it by more than `WRONG_SIDE_PX`.
 
     Returns
     -------
@@ -99,12 +99,10 @@ def smooth(
 
     """
     height, width = disparity_px.shape
-    filled = fill_from_background(disparity_px)
+    filled = cv2.medianBlur(fill_from_background(disparity_px), 5 if near_edges is None else 3)
     wrong = WRONG_PX if near_edges is None else WRONG_SIDE_PX
-    if near_edges is None:
-        filled = cv2.medianBlur(filled, 5)
-        where = np.empty((0, 0), np.uint8)
-    else:
+    where = np.empty((0, 0), np.uint8)
+    if near_edges is not None:
         where = cv2.copyMakeBorder(near_edges, 0, 0, 0, LANES, cv2.BORDER_CONSTANT, value=0)
     # relative to the contrast of the image, so that the exposure does not matter
     softness = SAME_OBJECT_LEVELS / exposure_gain(left)

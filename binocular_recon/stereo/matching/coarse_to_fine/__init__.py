@@ -13,9 +13,10 @@ from binocular_recon._lazy import lazy_exports
 if TYPE_CHECKING:
     from binocular_recon.stereo.matching.coarse_to_fine.guided import (
         coarse_config,
+        is_noise,
         refine_coarse,
     )
 
-__all__ = ['coarse_config', 'refine_coarse']
+__all__ = ['coarse_config', 'is_noise', 'refine_coarse']
 
 __getattr__ = lazy_exports(__name__, __file__)

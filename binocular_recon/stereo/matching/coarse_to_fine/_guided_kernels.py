@@ -16,7 +16,7 @@ from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon._simd import LANES, at_most, larger, load, smaller, splat, store
 from binocular_recon.stereo import _validity_kernels as reason
 
-RADIUS = 1  # of the window
+RADIUS = 2  # of the window
 SIDE = 2 * RADIUS + 1
 BAND = 2  # disparities on each side of a guess
 OFFSETS = 2 * BAND + 1
@@ -163,6 +163,22 @@ def _score(pair: GuidedPair, wanted: Array, work: Work) -> None:
 
 
 @inline_kernel
+def _mean_guess(bases: Array, at: int) -> Any:
+    """Return the mean guess of the window around each pixel, of those on the same surface.
+
+    An offset is that of the window, not of its middle pixel, whose guess is rounded.
+    """
+    zero, one, pixels = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(SIDE * SIDE))
+    middle = load(bases, at + RADIUS * LANES + RADIUS)
+    total = zero
+    for j in range(SIDE):
+        for i in range(SIDE):
+            step = load(bases, at + j * LANES + i) - middle
+            total = total + at_most(larger(step, zero - step), one, step, zero)
+    return middle + total / pixels
+
+
+@inline_kernel
 def _keep_best(wanted: Array, work: Work) -> None:
     """Keep the best disparity of each pixel of a tile, at the maximum of a parabola."""
     zero, one, half = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(0.5))
@@ -172,7 +188,7 @@ def _keep_best(wanted: Array, work: Work) -> None:
         if not wanted[j]:
             continue
         at = j * LANES
-        base = load(work.bases, (j + RADIUS) * LANES + RADIUS)
+        base = _mean_guess(work.bases, at)
         highest, value = load(best, at), load(found, at)
         for k in range(OFFSETS):
             score = load(scores[k], at)
