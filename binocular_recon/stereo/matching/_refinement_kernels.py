@@ -85,9 +85,10 @@ def weighted_median_strip(
 ) -> None:
     """Replace values that differ from the weighted median of their window by that median.
 
-    Only where ``where`` (H, W + LANES), uint8, is not 0; everywhere if it is empty. ``values`` and ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of
-    NaN; ``out`` (H, W + LANES). Weights fall with the difference of grey levels, to a half at
-    ``softness``; a value within ``keep`` of its median stays.
+    Only where ``where`` (H, W + LANES), uint8, is not 0; everywhere if it is empty. ``values`` and
+    ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of NaN; ``out``
+    (H, W + LANES). Weights fall with the difference of grey levels, to a half at ``softness``; a
+    value within ``keep`` of its median stays.
     """
     width = values.shape[1] - 2 * MEDIAN_BORDER - LANES
     count = (2 * MEDIAN_REACH + 1) ** 2
@@ -155,8 +156,9 @@ def weighted_median_strip(
             step = median - here
             store(out[y], x, at_most(larger(step, zero - step), near, here, median))
             if where.size > 0:
-                for i in range(LANES):
-                    out[y, x + i] = out[y, x + i] if where[y, x + i] else values[y + MEDIAN_BORDER, x + i + MEDIAN_BORDER]
+                for i in range(x, x + LANES):
+                    if where[y, i] == 0:
+                        out[y, i] = values[y + MEDIAN_BORDER, i + MEDIAN_BORDER]
 
 
 @kernel

@@ -50,7 +50,7 @@ class Work(NamedTuple):
     ``bases``: the guesses; ``warped`` (OFFSETS, ...): right pixels at each offset from them;
     ``sums``: sums over the rows of windows, of levels and squares of the left image, then of
     levels, squares and products at each offset; ``scores`` (OFFSETS, ...); ``found`` and ``best``:
-    the best disparity and its score.
+    the best disparity and its score; ``tried``: 1 where the guesses are tried, else 0.
     """
 
     bases: Array
@@ -59,6 +59,7 @@ class Work(NamedTuple):
     scores: Array
     found: Array
     best: Array
+    tried: Array
 
 
 @inline_kernel
@@ -71,6 +72,7 @@ def _new_work() -> Work:
         np.zeros((OFFSETS, whole), kind),
         np.zeros((2 + 3 * OFFSETS, size + spare), kind),
         np.zeros((OFFSETS, size), kind),
+        np.zeros(size, kind),
         np.zeros(size, kind),
         np.zeros(size, kind),
     )
@@ -146,6 +148,7 @@ def _score(pair: GuidedPair, wanted: Array, work: Work) -> None:
     """
     count, zero = splat(np.float32(SIDE * SIDE)), splat(np.float32(0))
     no_score, least = splat(NO_SCORE), splat(np.float32(pair.least_energy))
+    least_product = splat(np.float32(1e-12))
     sums, scores = work.sums, work.scores
     for j in range(TILE_ROWS):
         if not wanted[j]:
@@ -157,7 +160,8 @@ def _score(pair: GuidedPair, wanted: Array, work: Work) -> None:
             sum_r = _window_sum(sums[3 * k + 2], at)
             energy_r = _window_sum(sums[3 * k + 3], at) * count - sum_r * sum_r
             covariance = _window_sum(sums[3 * k + 4], at) * count - sum_l * sum_r
-            score = covariance * larger(covariance, zero - covariance) / (energy_l * energy_r)
+            energies = larger(energy_l * energy_r, least_product)
+            score = covariance * larger(covariance, zero - covariance) / energies
             score = at_most(least, energy_l, score, no_score)
             store(scores[k], at, at_most(least, energy_r, score, no_score))
 
@@ -183,13 +187,14 @@ def _keep_best(wanted: Array, work: Work) -> None:
     """Keep the best disparity of each pixel of a tile, at the maximum of a parabola."""
     zero, one, half = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(0.5))
     scored, flat = splat(np.float32(-1)), splat(np.float32(1e-6))
+    no_score = splat(NO_SCORE)
     scores, found, best = work.scores, work.found, work.best
     for j in range(TILE_ROWS):
         if not wanted[j]:
             continue
         at = j * LANES
         base = _mean_guess(work.bases, at)
-        highest, value = load(best, at), load(found, at)
+        highest, value, tried = load(best, at), load(found, at), load(work.tried, at)
         for k in range(OFFSETS):
             score = load(scores[k], at)
             offset = zero
@@ -200,6 +205,7 @@ def _keep_best(wanted: Array, work: Work) -> None:
                 offset = at_most(curvature, zero, zero, offset)
                 offset = at_most(scored, before, at_most(scored, after, offset, zero), zero)
                 offset = larger(smaller(offset, one), zero - one)
+            score = at_most(one, tried, score, no_score)
             value = at_most(score, highest, value, base + splat(np.float32(k - BAND)) + offset)
             highest = larger(highest, score)
         store(best, at, highest)
@@ -207,24 +213,28 @@ def _keep_best(wanted: Array, work: Work) -> None:
 
 
 @inline_kernel
-def _find_edges(edges: Array, tile: tuple[int, int], rows: int, wanted: Array) -> bool:
-    """Mark the first ``rows`` rows of a tile in which the surfaces differ."""
+def _select(edges: Array, tile: tuple[int, int], rows: int, wanted: Array, work: Work) -> bool:
+    """Select the pixels at ``edges`` in the first ``rows`` rows of a tile; return whether any.
+
+    Selects all pixels if ``edges`` is empty.
+    """
     top, x = tile
-    end = min((x + INNER + 1) >> 1, edges.shape[1])
-    some = False
+    some, last = False, edges.shape[1] - 1
     for j in range(TILE_ROWS):
-        wanted[j] = j < rows and edges[(top + j) >> 1, x >> 1 : end].any()
+        wanted[j] = False
+        if j >= rows:
+            continue
+        for i in range(LANES):
+            tried = edges.size == 0 or edges[(top + j) >> 1, min((x + i) >> 1, last)]
+            work.tried[j * LANES + i] = tried
+            wanted[j] |= tried
         some |= wanted[j]
     return some
 
 
 @kernel
 def refine_strip(
-    pair: GuidedPair,
-    images: tuple[Array, Array, Array],
-    clear: float,
-    start: int,
-    stop: int,
+    pair: GuidedPair, images: tuple[Array, Array, Array], clear: float, start: int, stop: int
 ) -> None:
     """Write the best disparities of rows ``start`` to ``stop`` around their guesses.
 
@@ -243,10 +253,8 @@ def refine_strip(
             tile = (top, x)
             best[:] = NO_SCORE
             for surface in range(pair.guesses.shape[0]):
-                if surface == 0:
-                    for j in range(TILE_ROWS):
-                        wanted[j] = j < rows
-                elif surface == 1 and not _find_edges(pair.edges, tile, rows, wanted):
+                pixels = pair.edges if surface > 0 else pair.edges[:0]
+                if surface < 2 and not _select(pixels, tile, rows, wanted, work):
                     break
                 _warp(pair, surface, tile, wanted, work)
                 _sum_columns(pair, tile, wanted, work)

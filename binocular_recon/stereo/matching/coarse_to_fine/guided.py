@@ -29,8 +29,8 @@ from binocular_recon.stereo.validity import Validity
 EDGE_PX = 1.0
 # Pixels this near to an edge, in px of half resolution, may be on the wrong side of it.
 NEAR_EDGE_PX = 3
-# Halving leaves 4.5 % of the variance of the steps of white noise; below twice that share, in windows
-# of this many px of half resolution on each side, there is no texture.
+# Halving leaves 4.5 % of the variance of the steps of white noise; below twice that share, in
+# windows of this many px of half resolution on each side, there is no texture.
 NOISE_SHARE = 0.09
 NOISE_WINDOW_PX = 4
 # Least square of the NCC where the coarse match has no disparity, or the first or the last one.
