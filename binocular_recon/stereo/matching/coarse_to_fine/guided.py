@@ -7,6 +7,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
@@ -159,10 +160,9 @@ def _bordered(image: FloatImage, before: int, behind: int) -> FloatImage:
     )
 
 
-def _guess(half_px: FloatImage) -> FloatImage:
+def _guess(half_px: FloatImage) -> npt.NDArray[np.int32]:
     """Return disparities of half resolution in whole pixels of the full one, int32."""
-    known = ~np.isnan(half_px)
-    return np.where(known, np.rint(2 * half_px), NO_GUESS).astype(np.int32)
+    return np.where(np.isnan(half_px), NO_GUESS, np.rint(2 * half_px)).astype(np.int32)
 
 
 def _enlarged(half: ByteImage, shape: tuple[int, ...]) -> ByteImage:
