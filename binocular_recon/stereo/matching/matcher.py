@@ -220,6 +220,8 @@ def _mark_missing(
     missing = missing | np.asarray(np.isnan(right).all(axis=1))[:, None]
     if missing.any():
         side = config.correlation_window_size
+        # halving reaches 2 px farther on each side
+        side = 2 * side + 5 if config.coarse_to_fine else side
         near = cv2.dilate(missing.view(np.uint8), np.ones((side, side), np.uint8)) > 0
         validity[near & (validity != Validity.MEASURED)] = Validity.NO_DATA
 
