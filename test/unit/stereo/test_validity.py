@@ -112,7 +112,7 @@ def test_rows_without_data_are_not_matched(rows: slice, both: bool, preset: str)
     assert has(validity[rows], Validity.NO_DATA).all()
     # and what borders on them is right
     error_px = np.abs(found.matched.disparity_px - WALL_PX)
-    allowed = 5e-4 if preset == 'fast' else 0.0
+    allowed = 1e-3 if preset == 'fast' else 0.0
     assert np.mean(error_px[:, 40:] > 1) <= allowed
 
 
