@@ -155,9 +155,9 @@ def refine_coarse(
 def _bordered(image: FloatImage, before: int, behind: int) -> FloatImage:
     """Return an image, from mid grey, with columns and rows without data on all sides."""
     borders = RADIUS, RADIUS, before, behind
-    return cv2.copyMakeBorder(
-        image - np.float32(MID_GREY), *borders, cv2.BORDER_CONSTANT, value=np.nan
-    )
+    centred = image - np.float32(MID_GREY)
+    bordered = cv2.copyMakeBorder(centred, *borders, cv2.BORDER_CONSTANT, value=np.nan)
+    return np.asarray(bordered, np.float32)
 
 
 def _guess(half_px: FloatImage) -> npt.NDArray[np.int32]:
