@@ -257,7 +257,7 @@ def _select_row(
         if not (agrees and right_scored[there]) or (tolerance >= 0 and costs[at + index] >= WORST):
             validity[x] = reason.CONFLICT
             continue
-        if tolerance >= 0 and (index == 0 or index == disparities - 1):
+        if tolerance >= 0 and not (selection.ends or 0 < index < disparities - 1):
             validity[x] = reason.AT_LIMIT
             continue
         if selection.uniqueness_ratio > 0 and not _is_unique(

@@ -76,14 +76,15 @@ def padded_range(config: MatchConfig) -> int:
     return -(-config.disparity_range // LANES) * LANES
 
 
-def selection_of(config: MatchConfig) -> Selection:
-    """Return the options that the selection kernels need."""
+def selection_of(config: MatchConfig, *, ends: bool = False) -> Selection:
+    """Return the options that the selection kernels need; see `Selection` for ``ends``."""
     return Selection(
         config.disparity_range,
         config.min_disparity,
         config.disp12_max_diff,
         config.uniqueness_ratio,
         config.subpixel,
+        ends,
     )
 
 

@@ -74,13 +74,21 @@ def pad_strip(
 
 @kernel
 def weighted_median_strip(
-    values: Array, levels: Array, softness: float, keep: float, out: Array, start: int, stop: int
+    values: Array,
+    levels: Array,
+    where: Array,
+    softness: float,
+    keep: float,
+    out: Array,
+    start: int,
+    stop: int,
 ) -> None:
     """Replace values that differ from the weighted median of their window by that median.
 
-    ``values`` and ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of
-    NaN; ``out`` (H, W + LANES). Weights fall with the difference of grey levels, to a half at
-    ``softness``; a value within ``keep`` of its median stays.
+    Only where ``where`` (H, W + LANES), uint8, is not 0; everywhere if it is empty. ``values`` and
+    ``levels`` (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + LANES) have borders of NaN; ``out``
+    (H, W + LANES). Weights fall with the difference of grey levels, to a half at ``softness``; a
+    value within ``keep`` of its median stays.
     """
     width = values.shape[1] - 2 * MEDIAN_BORDER - LANES
     count = (2 * MEDIAN_REACH + 1) ** 2
@@ -95,6 +103,9 @@ def weighted_median_strip(
     for y in range(start, stop):
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
+            if where.size > 0 and largest(load(where[y], x)) == 0:
+                store(out[y], x, here)
+                continue
             low = high = here
             at = 0
             for j in range(-MEDIAN_BORDER, MEDIAN_BORDER + 1, MEDIAN_SPACING):
@@ -144,6 +155,10 @@ def weighted_median_strip(
             median = (low + high) * half
             step = median - here
             store(out[y], x, at_most(larger(step, zero - step), near, here, median))
+            if where.size > 0:
+                for i in range(x, x + LANES):
+                    if where[y, i] == 0:
+                        out[y, i] = values[y + MEDIAN_BORDER, i + MEDIAN_BORDER]
 
 
 @kernel

@@ -33,13 +33,17 @@ LEAST_LEAD = np.float32(0.002)
 
 
 class Selection(NamedTuple):
-    """How disparities are chosen; see `MatchConfig`."""
+    """How disparities are chosen; see `MatchConfig`.
+
+    ``ends``: whether the first and the last disparity are matches.
+    """
 
     disparities: int
     min_disparity: int
     disp12_max_diff: float
     uniqueness_ratio: float
     subpixel: bool
+    ends: bool
 
 
 @inline_kernel
@@ -86,7 +90,8 @@ def _check(scores: Array, index: int, selection: Selection) -> Any:
     checked, ratio = selection.disp12_max_diff >= 0, selection.uniqueness_ratio
     if checked and scores[index] <= 0:
         return reason.CONFLICT
-    if checked and (index == 0 or index == selection.disparities - 1):
+    at_end = index == 0 or index == selection.disparities - 1
+    if checked and at_end and not selection.ends:
         return reason.AT_LIMIT
     if ratio > 0 and not _is_unique(scores, index, ratio):
         return reason.AMBIGUOUS

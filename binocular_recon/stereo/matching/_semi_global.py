@@ -30,9 +30,11 @@ STRIP_PAIR = 256
 
 
 def choose_disparities(
-    left: FloatImage, right: FloatImage, config: MatchConfig
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
 ) -> tuple[FloatImage, ByteImage]:
     """Choose the disparities of a checked pair by semi-global matching.
+
+    With ``ends`` the first and the last disparity are matches.
 
     Returns
     -------
@@ -58,7 +60,7 @@ def choose_disparities(
         source,
         normalised_levels(left),
         _penalties(config),
-        selection_of(config),
+        selection_of(config, ends=ends),
         results,
         strip=-(-height // (2 * -(-height // STRIP_PAIR))),
     )

@@ -17,6 +17,7 @@ from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
 from binocular_recon.stereo.matching._selection_kernels import select_strip
+from binocular_recon.stereo.matching.coarse_to_fine import coarse_config, is_noise, refine_coarse
 from binocular_recon.stereo.matching.consensus import to_left_image, vote, voter_configs
 from binocular_recon.stereo.matching.half_resolution import (
     fill_from_half,
@@ -127,25 +128,52 @@ def _measure_once(left: FloatImage, right: FloatImage, config: MatchConfig) -> M
     if min(left.shape) < config.correlation_window_size:
         none = np.full(left.shape, np.nan, np.float32)
         return none, none.copy(), np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
-    choose = _semi_global.choose_disparities if config.semi_global else _winner_takes_all
-    disparity, validity = choose(left, right, config)
-    drop_speckles(disparity, config)
+    near_edges = None
+    if config.coarse_to_fine and (min(left.shape) + 1) // 2 >= config.correlation_window_size:
+        disparity, validity, near_edges = _coarse_to_fine(left, right, config)
+    else:
+        disparity, validity = _choose(left, right, config)
     if config.subpixel:
-        disparity, sigma = smooth(disparity, left)
+        disparity, sigma = smooth(disparity, left, near_edges)
     else:
         sigma = np.zeros_like(disparity)
     return disparity, sigma, validity
 
 
-def _winner_takes_all(
+def _coarse_to_fine(
     left: FloatImage, right: FloatImage, config: MatchConfig
+) -> tuple[FloatImage, ByteImage, ByteImage]:
+    """Return the result of `refine_coarse` after a match at half resolution."""
+    half = halve(left)
+    disparity, validity = _choose(half, halve(right), coarse_config(config), ends=True)
+    noise = is_noise(left, half)
+    disparity[noise], validity[noise] = np.nan, Validity.LOW_TEXTURE
+    return refine_coarse(left, right, (disparity, validity), config)
+
+
+def _choose(
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
+) -> tuple[FloatImage, ByteImage]:
+    """Return the disparity of each pixel, NaN = none, in whole regions, and the validity.
+
+    With ``ends`` the first and the last disparity are matches.
+    """
+    choose = _semi_global.choose_disparities if config.semi_global else _winner_takes_all
+    disparity, validity = choose(left, right, config, ends=ends)
+    drop_speckles(disparity, config)
+    return disparity, validity
+
+
+def _winner_takes_all(
+    left: FloatImage, right: FloatImage, config: MatchConfig, *, ends: bool = False
 ) -> tuple[FloatImage, ByteImage]:
     """Return the disparity of each pixel's best score, NaN = none, and the validity."""
     pair, _ = prepare_pair(left, right, config, border=0)
     disparity = np.full(left.shape, np.nan, np.float32)
     validity = np.full(left.shape, Validity.LOW_TEXTURE, np.uint8)
     results = disparity, validity
-    over_strips(select_strip, len(left), pair, selection_of(config), results, strip=48)
+    selection = selection_of(config, ends=ends)
+    over_strips(select_strip, len(left), pair, selection, results, strip=48)
     return results
 
 
@@ -192,6 +220,8 @@ def _mark_missing(
     missing = missing | np.asarray(np.isnan(right).all(axis=1))[:, None]
     if missing.any():
         side = config.correlation_window_size
+        # halving reaches 2 px farther on each side
+        side = 2 * side + 5 if config.coarse_to_fine else side
         near = cv2.dilate(missing.view(np.uint8), np.ones((side, side), np.uint8)) > 0
         validity[near & (validity != Validity.MEASURED)] = Validity.NO_DATA
 

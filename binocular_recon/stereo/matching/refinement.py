@@ -9,7 +9,7 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import FloatImage, window_range
+from binocular_recon.images import ByteImage, FloatImage, window_range
 from binocular_recon.stereo.holes.completion import fill_from_background
 from binocular_recon.stereo.matching._preparation import exposure_gain
 from binocular_recon.stereo.matching._refinement_kernels import (
@@ -34,6 +34,7 @@ SAME_SURFACE_PX = 1.5
 # median above which a disparity is replaced.
 SAME_OBJECT_LEVELS = 16.0
 WRONG_PX = 1.0
+WRONG_SIDE_PX = 2.0
 # Flying pixels: radius of the window, the least step of disparity within it that makes it an edge,
 # and the largest difference of pixels on the same surface.
 WINDOW_PX, EDGE_PX, ALIKE_PX = 3, 2.0, 1.5
@@ -66,7 +67,9 @@ def drop_flying(disparity_px: FloatImage, sigma_px: FloatImage, config: MatchCon
     disparity_px[flying], sigma_px[flying] = np.nan, np.nan
 
 
-def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, FloatImage]:
+def smooth(
+    disparity_px: FloatImage, left: FloatImage, near_edges: ByteImage | None = None
+) -> tuple[FloatImage, FloatImage]:
     """Replace each disparity by the value of a plane through its neighbours on the same surface.
 
     Parameters
@@ -75,6 +78,9 @@ def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, Floa
         Disparity; NaN = none.
     left : (H, W) float32
         Left image, grey levels.
+    near_edges : (H, W) uint8, optional
+        1 where disparities may be on the wrong side of an edge. Given, only these are replaced by
+        the weighted median, and only if they differ from it by more than `WRONG_SIDE_PX`.
 
     Returns
     -------
@@ -93,13 +99,17 @@ def smooth(disparity_px: FloatImage, left: FloatImage) -> tuple[FloatImage, Floa
 
     """
     height, width = disparity_px.shape
-    filled = cv2.medianBlur(fill_from_background(disparity_px), 5)
+    filled = cv2.medianBlur(fill_from_background(disparity_px), 5 if near_edges is None else 3)
+    wrong = WRONG_PX if near_edges is None else WRONG_SIDE_PX
+    where = np.empty((0, 0), np.uint8)
+    if near_edges is not None:
+        where = cv2.copyMakeBorder(near_edges, 0, 0, 0, LANES, cv2.BORDER_CONSTANT, value=0)
     # relative to the contrast of the image, so that the exposure does not matter
     softness = SAME_OBJECT_LEVELS / exposure_gain(left)
     values = _padded(filled, filled, MEDIAN_BORDER)
     guide = _padded(left, left, MEDIAN_BORDER)
     median = np.empty((height, width + LANES), np.float32)
-    over_strips(weighted_median_strip, height, values, guide, softness, WRONG_PX, median)
+    over_strips(weighted_median_strip, height, values, guide, where, softness, wrong, median)
     samples = _padded(median[:, :width], disparity_px, BORDER)
     plane = np.empty((height, width + LANES), np.float32)
     sigma = np.empty((height, width + LANES), np.float32)

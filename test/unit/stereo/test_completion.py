@@ -114,10 +114,13 @@ def test_weighted_median_equals_its_naive_twin() -> None:
     values = rng.choice([5.0, 6.5, 20.0], shape).astype(np.float32)
     levels = rng.choice([10.0, 60.0], shape).astype(np.float32)
     values[4, 5:9] = levels[9, 20] = NAN
-    median = np.empty((17, 37 + LANES), np.float32)
-    weighted_median_strip(
-        _padded(values, values, border), _padded(levels, levels, border), 16.0, 1.0, median, 0, 17
-    )
+    padded = _padded(values, values, border), _padded(levels, levels, border)
+    median, part = (np.empty((17, 37 + LANES), np.float32) for _ in range(2))
+    weighted_median_strip(*padded, np.empty((0, 0), np.uint8), 16.0, 1.0, median, 0, 17)
+    where = rng.integers(0, 2, part.shape).astype(np.uint8)
+    weighted_median_strip(*padded, where, 16.0, 1.0, part, 0, 17)
+    expected_part = np.where(where[:, :37], median[:, :37], values)
+    np.testing.assert_array_equal(part[:, :37], expected_part)
     offsets = range(-border, border + 1, MEDIAN_SPACING)
     for y, x in np.ndindex(shape):
         if np.isnan(values[y, x]) or np.isnan(levels[y, x]):

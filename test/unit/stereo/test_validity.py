@@ -84,8 +84,9 @@ def test_there_is_no_point_in_the_sky(kind: str, preset: str) -> None:
     sky = {'flat': 200 + 0 * rows, 'down': 160 + 0.6 * rows, 'across': 150 + 0.2 * columns}[kind]
     left[:100] = right[:100] = sky
     validity = estimate(*exposed(left, right), preset=preset).filtered.validity
-    # but for a window and what is smoothed with it
-    assert not has(validity[:92], Validity.MEASURED | Validity.FILLED).any()
+    # but for a window, of half resolution in 'fast', and what is smoothed with it
+    clear = 80 if preset == 'fast' else 92
+    assert not has(validity[:clear], Validity.MEASURED | Validity.FILLED).any()
     assert has(validity[104:-4, 36:-4], Validity.MEASURED).mean() > 0.95
 
 
@@ -111,7 +112,8 @@ def test_rows_without_data_are_not_matched(rows: slice, both: bool, preset: str)
     assert has(validity[rows], Validity.NO_DATA).all()
     # and what borders on them is right
     error_px = np.abs(found.matched.disparity_px - WALL_PX)
-    assert np.nanmax(error_px[:, 40:]) < 1
+    allowed = 1e-3 if preset == 'fast' else 0.0
+    assert np.mean(error_px[:, 40:] > 1) <= allowed
 
 
 def test_a_black_border_as_rectification_leaves_it_is_not_matched() -> None:
