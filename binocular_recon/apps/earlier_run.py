@@ -13,10 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.apps.summary_entries import RIG_ENTRY, SUMMARY, read_summary
 from binocular_recon.errors import FileError
 
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
+# What else a run goes on from.
+_STATE = ('left_out', 'finished', 'unpaired', 'images_read', 'damage', *RIG_ENTRY)
 # Where a recording lies does not matter.
 _ANYWHERE = {'source.bag', 'source.left', 'source.right', 'source.video'}
 # Of each end of a file of a recording so much is compared, bytes.
@@ -40,16 +43,16 @@ def earlier_run(
     Raises
     ------
     FileError
-        If the run in the folder was interrupted and this one is another.
+        If the run in the folder was interrupted and this one is another, or its summary is
+        damaged.
 
     """
-    path = folder / 'summary.json'
-    if not path.exists():
+    if not (folder / SUMMARY).exists():
         return None
-    summary = _read(path)
+    summary = read_summary(folder, 'choose another folder, or start over (--no-resume)')
     if summary.get('finished') is not False and 'progress' not in summary:
         return None  # of another version, or of another program
-    frames = summary.get('frames') or []
+    frames = summary['frames']
     reason = _difference(summary, made_from) or _missing(folder, frames, endings)
     if not reason:
         return summary
@@ -59,6 +62,19 @@ def earlier_run(
         f'{folder} holds {len(frames)} finished frames of an interrupted run that cannot be'
         f' continued: {reason}; choose another folder, or start over (--no-resume)'
     )
+
+
+def state_digest(summary: dict[str, Any]) -> str:
+    """Return a digest of what a run goes on from, so that nothing in it needs to be doubted.
+
+    The times that frames took, which differ from run to run, need only be times.
+    """
+    frames = [
+        {**one, 'seconds': isinstance(one.get('seconds'), float)} for one in summary['frames']
+    ]
+    progress = {name: value for name, value in summary['progress'].items() if name != 'digest'}
+    state = [frames, progress, {name: summary.get(name) for name in _STATE}]
+    return hashlib.sha256(json.dumps(state, sort_keys=True).encode()).hexdigest()
 
 
 def fingerprint(path: Path) -> dict[str, str]:
@@ -93,23 +109,12 @@ def _digest(path: Path) -> str:
     return f'{size} bytes, {hashlib.sha256(content).hexdigest()[:16]}'
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        summary = json.loads(path.read_bytes())
-    except OSError as error:
-        raise FileError(
-            f'{path} cannot be read: {error.strerror}; choose another folder'
-        ) from error
-    except (ValueError, RecursionError):
-        summary = None
-    # not written by us: what lies around it is not either
-    return summary if isinstance(summary, dict) else {}
-
-
 def _difference(summary: dict[str, Any], made_from: dict[str, Any]) -> str:
     """Return what an earlier run was made with and this one is not; '' if all is the same."""
     if 'progress' not in summary:
-        return 'its summary.json does not say where it ended'
+        return f'its {SUMMARY} does not say where it ended'
+    if summary['progress'].get('digest') != state_digest(summary):
+        return f'its {SUMMARY} was changed'
     before = dict(_flat({name: summary.get(name) for name in MADE_FROM}))
     now = dict(_flat(json.loads(json.dumps(made_from))))
     for name in [*now, *before]:

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from binocular_recon.apps.earlier_run import earlier_run
+from binocular_recon.apps.earlier_run import earlier_run, state_digest
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult, formats_named
 from binocular_recon.apps.summary_entries import (
     RIG_ENTRY,
@@ -206,7 +206,7 @@ class ResultFolder:
         """
         if not self.frames and self._summary.exists():
             return
-        summary = {
+        summary: dict[str, Any] = {
             'frames': self.frames,
             'left_out': self.left_out,
             'finished': finished,
@@ -222,6 +222,7 @@ class ResultFolder:
                 'chain': self.chain_state,
             },
         }
+        summary['progress']['digest'] = state_digest(summary)
         if finished and self.frames:
             self._drop_earlier_frames()
         write_json(self._summary, summary)

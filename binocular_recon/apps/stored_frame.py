@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
-from binocular_recon.errors import CalibrationError, ConfigError, FileError
+from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rig_of_entry
+from binocular_recon.camera import StereoRig
+from binocular_recon.errors import CalibrationError, ConfigError, FileError, shortened
 from binocular_recon.images import FloatImage
 from binocular_recon.io.exports.depth import DepthGeometry
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.exports.point_table import PointTable
-from binocular_recon.io.text_files import numbers
 
 _REMEDY = 'give the folder that `reconstruct --output` wrote'
 
@@ -96,24 +96,21 @@ def stored_frames(folder: Path, placement: Placement | None = None) -> Iterator[
         If the folder has no summary, or it is damaged.
 
     """
-    path = folder / 'summary.json'
+    path = folder / SUMMARY
     if not path.exists():
-        raise FileError(f'{folder} holds no results: there is no summary.json; {_REMEDY}')
+        raise FileError(f'{folder} holds no results: there is no {SUMMARY}; {_REMEDY}')
+    summary = read_summary(folder, _REMEDY)
+    rigs: list[tuple[Any, StereoRig]] = []
     try:
-        summary = json.loads(path.read_bytes())
         options = summary['options']['cloud']
         thinned = options['decimation'] > 1 or options['voxel_size'] > 0
         for frame in summary['frames']:
-            calibration = frame.get('calibration', summary['calibration'])
-            geometry = _geometry(calibration, summary['frame'])
-            yield StoredFrame(folder, int(frame['index']), geometry, thinned, placement)
-    except OSError as error:
-        raise FileError(f'{path} cannot be read: {error.strerror}; {_REMEDY}') from error
-    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise FileError(f'{path} is damaged or of another version; {_REMEDY}') from error
-
-
-def _geometry(calibration: Any, frame: str) -> DepthGeometry:
-    width, height = calibration['image_size']
-    P = numbers('P', calibration['left']['P'], CalibrationError)
-    return DepthGeometry((width, height), P, calibration['baseline_m'], frame)
+            entry = frame.get('calibration', summary.get('calibration'))
+            if not rigs or rigs[-1][0] != entry:
+                rigs.append((entry, rig_of_entry(entry)))
+            left, baseline_m = rigs[-1][1].left, rigs[-1][1].baseline_m
+            geometry = DepthGeometry(left.size, left.P, baseline_m, summary['frame'])
+            yield StoredFrame(folder, frame['index'], geometry, thinned, placement)
+    except (LookupError, TypeError, CalibrationError) as error:
+        reason = str(error) if isinstance(error, CalibrationError) else shortened(repr(error))
+        raise FileError(f'{path} is damaged or of another version: {reason}; {_REMEDY}') from error

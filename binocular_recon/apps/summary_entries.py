@@ -1,20 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``summary.json`` says of frames and of the rig."""
+"""What ``summary.json`` says of frames and of the rig, written and read."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, RigCovariance, StereoRig
+from binocular_recon.errors import CalibrationError, FileError, shortened
 from binocular_recon.images import FloatImage
+from binocular_recon.io.text_files import numbers, read_json
 from binocular_recon.stereo.point_covariance import sigma_shares
+from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
+
+SUMMARY = 'summary.json'
+_SIDES, _MATRICES = ('left', 'right'), ('K', 'D', 'R', 'P')
+# A recording of 100 000 frames has 60 MB.
+_LARGEST = 100_000_000
+# What readers take for granted, if it is there.
+_KINDS = {
+    'left_out': list,
+    'source': dict,
+    'options': dict,
+    'calibration': dict,
+    'frame': str,
+    'progress': dict,
+}
 
 
 def frame_entry(
@@ -100,5 +118,85 @@ def _covariance(known: RigCovariance | None) -> dict[str, Any] | None:
 def _camera(camera: Camera) -> dict[str, Any]:
     return {
         'distortion_model': camera.distortion_model,
-        **{name: getattr(camera, name).tolist() for name in ('K', 'D', 'R', 'P')},
+        **{name: getattr(camera, name).tolist() for name in _MATRICES},
     }
+
+
+def read_summary(folder: Path, remedy: str) -> dict[str, Any]:
+    """Return the content of the ``summary.json`` of an output folder.
+
+    Parameters
+    ----------
+    folder : Path
+        What `reconstruct` wrote.
+    remedy : str
+        What to give instead, for errors.
+
+    Returns
+    -------
+    dict
+        ``frames`` is a list of dicts, each with its number as ``index``.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read or is not such a summary; the message begins with the path.
+
+    """
+    path = folder / SUMMARY
+    content = read_json(path, remedy, _LARGEST)
+    frames = content.get('frames') if isinstance(content, dict) else None
+    if not isinstance(content, dict) or not isinstance(frames, list):
+        raise FileError(f'{path} is not the summary of frames; {remedy}')
+    options = content.get('options')
+    cloud = {'options.cloud': options.get('cloud')} if isinstance(options, dict) else {}
+    for name, kind in {**_KINDS, 'options.cloud': dict}.items():
+        value = {**content, **cloud}.get(name)
+        if value is not None and not isinstance(value, kind):
+            raise FileError(
+                f'{path} is damaged: {name} must be a {kind.__name__}, got {shortened(value)};'
+                f' {remedy}'
+            )
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, dict) or frame.get('index') != number:
+            raise FileError(f'{path} is damaged: frame {number} has another index; {remedy}')
+    return content
+
+
+def rig_of_entry(entry: object) -> StereoRig:
+    """Return the calibration of a `calibration_entry`; raises a CalibrationError if it is none."""
+    if not isinstance(entry, dict):
+        raise CalibrationError('the calibration is missing')
+    size = numbers('image_size', entry.get('image_size'), CalibrationError)
+    if size.shape != (2,) or not ((size % 1 == 0) & (size > 0) & (size <= LARGEST_SIDE_PX)).all():
+        raise CalibrationError(
+            f'image_size must be width and height, at most {LARGEST_SIDE_PX} px, got'
+            f' {size.tolist()}'
+        )
+    width, height = size.astype(int).tolist()
+    left, right = (_camera_of(entry.get(side), side, width, height) for side in _SIDES)
+    known = entry.get('covariance')
+    if known is None:
+        return StereoRig(left, right)
+    if not isinstance(known, dict):
+        raise CalibrationError(f'the covariance must be an object, got {shortened(known)}')
+    names = known.get('parameters')
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise CalibrationError('the parameters of the covariance must be a list of names')
+    calibrated = [_camera_of(known.get(side), side, width, height) for side in _SIDES]
+    matrix = numbers('covariance', known.get('matrix'), CalibrationError)
+    covariance = RigCovariance(calibrated[0], calibrated[1], tuple(names), matrix)
+    return StereoRig(left, right, covariance=covariance)
+
+
+def _camera_of(entry: object, side: str, width: int, height: int) -> Camera:
+    if not isinstance(entry, dict):
+        raise CalibrationError(f'the {side} camera is missing')
+    model = entry.get('distortion_model', 'plumb_bob')
+    if not isinstance(model, str):
+        raise CalibrationError(f'distortion_model must be a name, got {shortened(model)}')
+    K, D, R, P = (
+        numbers(f'{name} of the {side} camera', entry.get(name), CalibrationError)
+        for name in _MATRICES
+    )
+    return Camera(width, height, K, D, R, P, model)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import yaml
 
 from binocular_recon.camera import Camera, FloatArray, StereoRig
-from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.errors import BinocularReconError, CalibrationError, FileError
 from binocular_recon.inputs.camera_reading import camera_of_image
 from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.calibrations.formats.ros import camera_values
@@ -23,6 +24,8 @@ from binocular_recon.io.files import complete_file, locked
 _ID = 'calibration_id'
 # Subfolder that holds a new calibration until all its files have been moved to their places.
 PENDING = '.calibration.new'
+# How often a calibration is read that is replaced meanwhile, before savers are made to wait.
+_TRIES = 5
 
 
 def read_camera(path: Path, *, rectified: bool = False) -> Camera:
@@ -69,10 +72,36 @@ def read_rig(path: str | Path, *, rectified: bool = False) -> StereoRig:
 
     """
     folder = Path(path)
-    with locked(folder, shared=True):  # against one that is being saved
-        paths = [_newest(folder, f'{side}.yaml') for side in ('left', 'right')]
-        if any(one.exists() for one in paths):
-            return _own_rig(folder, paths, rectified=rectified)
+    # Without a lock: readers that take turns would never let one save.
+    for _ in range(_TRIES):
+        before = _state(folder)
+        try:
+            rig = _read(folder, rectified=rectified)
+        except BinocularReconError:
+            if _state(folder) == before:
+                raise
+        else:
+            if _state(folder) == before:
+                return rig
+    with locked(folder, shared=True):
+        return _read(folder, rectified=rectified)
+
+
+def _state(folder: Path) -> list[tuple[Path, int, int]]:
+    """Return which files the newest calibration has: a replaced one has another inode."""
+    found = []
+    for name in ('left.yaml', 'right.yaml', 'calibration.json'):
+        path = _newest(folder, name)
+        with contextlib.suppress(OSError, ValueError):
+            status = path.stat()
+            found.append((path, status.st_ino, status.st_mtime_ns))
+    return found
+
+
+def _read(folder: Path, *, rectified: bool) -> StereoRig:
+    paths = [_newest(folder, f'{side}.yaml') for side in ('left', 'right')]
+    if any(one.exists() for one in paths):
+        return _own_rig(folder, paths, rectified=rectified)
     return _foreign_rig(folder, rectified=rectified)
 
 

@@ -73,15 +73,20 @@ class ClaimedFolder:
         remove_abandoned(path)
 
 
-def _held(path: Callable[[], Path], flags: int) -> tuple[Path, int]:
+def _held(path: Callable[[], Path], flags: int, *, is_part: bool = False) -> tuple[Path, int]:
     """Open and lock a file or folder; return its path and the handle that holds the lock.
 
-    Raises a BlockingIOError if another process or thread holds it. Where the file system has no
-    locks, nothing is locked.
+    Raises a BlockingIOError if another one holds it; another part is made if one was taken for
+    abandoned before it was locked. Where the file system has no locks, nothing is locked.
     """
     while True:
         place = path()
-        handle = os.open(place, flags | os.O_NOFOLLOW, 0o666)
+        try:
+            handle = os.open(place, flags | os.O_NOFOLLOW, 0o666)
+        except FileNotFoundError:
+            if flags & os.O_CREAT:
+                raise
+            continue  # the part was removed before it was opened
         try:
             fcntl.flock(handle, _NOW)
             if os.path.samestat(os.fstat(handle), place.stat()):
@@ -89,8 +94,9 @@ def _held(path: Callable[[], Path], flags: int) -> tuple[Path, int]:
         except FileNotFoundError:  # the one before, or who took it for abandoned, removed it
             pass
         except BlockingIOError:
-            os.close(handle)
-            raise
+            if not is_part:
+                os.close(handle)
+                raise
         except OSError:  # a network file system without locks
             return place, handle
         os.close(handle)
@@ -135,7 +141,7 @@ def part_folder(folder: Path) -> Iterator[Path]:
         part.mkdir()
         return part
 
-    part, handle = _held(make, os.O_RDONLY)
+    part, handle = _held(make, os.O_RDONLY, is_part=True)
     try:
         yield part
     finally:
@@ -147,23 +153,8 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
     """Open a binary file that appears under its name when it is complete.
 
     After an interruption or on a full disk, no part of the new file remains, and an old file of
-    this name is unchanged. After a power cut the file is complete or the old one.
-
-    Parameters
-    ----------
-    path : Path
-        Path of the file; its folder must exist.
-
-    Yields
-    ------
-    file : BinaryIO
-        Open for writing.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
-
+    this name is unchanged. After a power cut the file is complete or the old one. Its folder must
+    exist. Raises a FileError if the file cannot be written.
     """
     try:
         if path.exists() and not path.is_file():  # a device or a pipe is not replaced by a file
@@ -171,7 +162,7 @@ def complete_file(path: Path) -> Iterator[BinaryIO]:
                 yield file
             return
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-        part, handle = _held(lambda: _new_part(path.parent, path.name), flags)
+        part, handle = _held(lambda: _new_part(path.parent, path.name), flags, is_part=True)
         try:
             with open(handle, 'wb', closefd=False) as file:
                 yield file

@@ -24,6 +24,8 @@ LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
 _DEEPEST = 50
 # PyYAML needs half a second for so many values.
 _MOST_VALUES = 30_000
+# Python needs a second for so many values and lists.
+_MOST_JSON_VALUES = 3_000_000
 # Longer numbers take the time of their square.
 _LONGEST_NUMBER = 100
 
@@ -187,12 +189,18 @@ for _kind in ('int', 'float'):
     _Loader.add_constructor(f'tag:yaml.org,2002:{_kind}', _Loader.number)
 
 
-def read_json(path: Path, remedy: str) -> Any:
-    """Return the content of a JSON file.
+def read_json(path: Path, remedy: str, largest: int = _LARGEST_JSON) -> Any:
+    """Return the content of a JSON file of at most ``largest`` bytes.
 
-    Raises a FileError as `read_text`, and if the file is not JSON or is nested too deeply.
+    Raises a FileError as `read_text`, and if the file is not JSON, is nested too deeply or has
+    too many values.
     """
-    text = read_text(path, remedy, _LARGEST_JSON)
+    text = read_text(path, remedy, largest)
+    if sum(map(text.count, ',[{')) > _MOST_JSON_VALUES:
+        raise FileError(
+            f'{path} holds more than {_MOST_JSON_VALUES / 1e6:g} million values, the limit;'
+            f' {remedy}'
+        )
     try:
         return json.loads(text, parse_int=_integer, object_pairs_hook=_object)
     except (ValueError, RecursionError) as error:

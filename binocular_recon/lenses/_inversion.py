@@ -53,10 +53,16 @@ def inverse(
 
 
 def least_root(coefficients: FloatArray) -> float:
-    """Return the least positive root of a polynomial of ascending powers, inf without one."""
+    """Return the least positive root of a polynomial of ascending powers, inf without one.
+
+    It is 0 where the coefficients are beyond the range of float64: no lens has such.
+    """
     trimmed = np.trim_zeros(coefficients, 'b')
     if trimmed.size < 2:
         return math.inf
+    with np.errstate(over='ignore', invalid='ignore'):
+        if not np.isfinite(trimmed[:-1] / trimmed[-1]).all():
+            return 0.0
     roots = np.polynomial.polynomial.polyroots(trimmed)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min()) if real.size else math.inf

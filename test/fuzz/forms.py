@@ -14,6 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.apps.stored_frame import stored_frames
+from binocular_recon.apps.summary_entries import SUMMARY
+from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.calibration.session.points_csv import read_points
 from binocular_recon.calibration.target.rods import load_rods
 from binocular_recon.cli.main import EXIT_USAGE, main
@@ -113,6 +116,15 @@ def _scene(data: bytes, folder: Path) -> None:
     read_scene(folder)
 
 
+def _summary(data: bytes, folder: Path) -> None:
+    _written(data, folder / SUMMARY)
+    with contextlib.suppress(BinocularReconError):
+        list(stored_frames(folder))
+    found = MeasuredFolder(folder)
+    for number in range(found.count):
+        found.rig(number)
+
+
 def _arguments(data: bytes, folder: Path) -> None:
     """Run a command whose input does not exist, so that nothing is computed or written."""
     words = data.decode(errors='surrogateescape').split('\n')
@@ -159,6 +171,7 @@ FORMS: dict[str, Reader] = {
     'compressed_image': _compressed_image,
     'exif': lambda data, folder: capture_time_ns(_written(data, folder / 'a.jpg')),
     'ply': lambda data, folder: PointTable.of_file(_written(data, folder / 'a.ply')),
+    'summary': _summary,
     'georeference': lambda data, folder: read_placement(_written(data, folder / 'a.json')),
     'image_file': lambda data, folder: read_image_file(_written(data, folder / 'a.png')),
     'mcap': lambda data, folder: _bag(_written(data, folder / 'a.mcap')),

@@ -84,7 +84,12 @@ def test_clouds_lie_where_the_control_points_say(
             'pivot_site': pivot_site.tolist(),
         },
         'crs': {'epsg': 32632},
-        'errors': {'covariance': np.diag([0, 0, 0, 0.04**2, 0, 0, 0]).tolist()},
+        'errors': {
+            'covariance': np.diag([0, 0, 0, 0.04**2, 0, 0, 0]).tolist(),
+            'by_calibration': [[]] * 7,
+        },
+        'axes': ['E', 'N', 'h'],
+        'level': True,
     }
     path = folder / 'georeference.json'
     path.write_text(json.dumps(tie))
@@ -108,7 +113,7 @@ def test_clouds_lie_where_the_control_points_say(
     for damaged in wrong:
         path.write_text(json.dumps(damaged))
         assert export(folder, '--format', 'laz') == 1
-        assert 'georeference.json does not say where the cloud lies' in capsys.readouterr().err
+        assert 'georeference.json is not a georeference: ' in capsys.readouterr().err
 
 
 def test_what_cannot_be_exported(
@@ -127,7 +132,7 @@ def test_what_cannot_be_exported(
         (output, ('--format', 'obj'), 2, "--format must be among ply, las, .*got 'obj'"),
         (output, ('--format', 'laz', '--output', str(output)), 2, 'choose another folder'),
         (tmp_path, ('--format', 'laz'), 1, 'there is no summary.json; give the folder'),
-        (other, ('--format', 'laz'), 1, 'is damaged or of another version'),
+        (other, ('--format', 'laz'), 1, 'is damaged: frame 0 has another index'),
         (thin, ('--format', 'tiff'), 2, 'were thinned .* reconstruct --format'),
         (cut, ('--format', 'laz'), 1, '000001.ply is not a cloud of this program'),
     ):

@@ -260,11 +260,36 @@ def test_another_recording_or_a_missing_file_is_noticed(
     assert '000000.ply is missing' in capsys.readouterr().err
 
 
-def test_a_summary_of_others_is_no_earlier_run(bag: Path, tmp_path: Path) -> None:
-    for text in ('', 'no JSON', '[1]', '{"mine": 1}', 100_000 * '['):
-        (tmp_path / 'summary.json').write_text(text)
-        assert reconstruct(bag, tmp_path, '--max-frames', '1') == 0
-        assert contents(tmp_path)['summary']['finished'] is True
+def test_a_summary_that_is_none_or_was_changed_is_not_continued(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'summary.json'
+    interrupted_run(bag, tmp_path, monkeypatch)
+    known = json.loads(path.read_text())
+    changed = [
+        {**known, 'progress': {**known['progress'], **other}}
+        for other in ({'pairs': -1}, {'chain': 'x'}, {'refused': 7}, {'digest': None})
+    ]
+    for seconds in ('a', None, True):
+        frames = [{**known['frames'][0], 'seconds': seconds}, known['frames'][1]]
+        changed.append({**known, 'frames': frames})
+    for content, reason in (
+        ('', 'is not valid JSON'),
+        ('[1]', 'is not the summary of frames'),
+        ('{"mine": 1}', 'is not the summary of frames'),
+        (100_000 * '[', 'is not valid JSON'),
+        (json.dumps({**known, 'progress': [1]}), 'progress must be a dict'),
+        (json.dumps({**known, 'frames': [{'index': 'x'}]}), 'frame 0 has another index'),
+        *((json.dumps(one), 'its summary.json was changed') for one in changed),
+    ):
+        path.write_text(content)
+        assert reconstruct(bag, tmp_path) == 1
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert reason in error
+        assert error.endswith('choose another folder, or start over (--no-resume)')
+        assert path.read_text() == content
+    assert reconstruct(bag, tmp_path, '--max-frames', '1', '--no-resume') == 0
+    assert contents(tmp_path)['summary']['finished'] is True
 
 
 def test_two_runs_do_not_write_to_one_folder(

@@ -4,20 +4,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from binocular_recon.camera import Camera, RigCovariance, StereoRig
+from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rig_of_entry
+from binocular_recon.camera import StereoRig
 from binocular_recon.cloud_config import CloudConfig
-from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.errors import (
+    BinocularReconError,
+    CalibrationError,
+    ConfigError,
+    FileError,
+)
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
-from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.io.text_files import number
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.stereo.rectification import Rectifier, check_size
 
@@ -46,10 +51,7 @@ class MeasuredFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        summary = read_json(folder / 'summary.json', _REMEDY)
-        if not isinstance(summary, dict) or not isinstance(summary.get('frames'), list):
-            raise FileError(f'{folder / "summary.json"} is not the summary of frames; {_REMEDY}')
-        self.summary: dict[str, Any] = summary
+        self.summary = read_summary(folder, _REMEDY)
         self._rigs: list[tuple[Any, StereoRig]] = []
 
     @property
@@ -94,11 +96,9 @@ class MeasuredFolder:
             if known == entry:
                 return rig
         try:
-            rig = self._rectified(_rig_of(entry))
-        except CalibrationError as error:
-            raise CalibrationError(
-                f'{self.folder / "summary.json"}: {error}; {_REMEDY}'
-            ) from error
+            rig = self._rectified(rig_of_entry(entry))
+        except BinocularReconError as error:
+            raise CalibrationError(f'{self.folder / SUMMARY}: {error}; {_REMEDY}') from error
         self._rigs.append((entry, rig))
         return rig
 
@@ -110,8 +110,7 @@ class MeasuredFolder:
 
     def _rectified(self, rig: StereoRig) -> StereoRig:
         """Return the rig of the images in the folder."""
-        source = self.summary.get('source')
-        source = source if isinstance(source, dict) else {}
+        source = self.summary.get('source') or {}
         if source.get('rectified'):
             return rig
         return Rectifier(rig, number('alpha', source.get('alpha', -1.0), CalibrationError)).rig
@@ -119,39 +118,9 @@ class MeasuredFolder:
     @cached_property
     def _limits(self) -> CloudConfig:
         """Which points the cloud holds, by the options of the run."""
-        options = self.summary.get('options')
-        cloud = options.get('cloud') if isinstance(options, dict) else None
+        given = (self.summary.get('options') or {}).get('cloud') or {}
         known = {field.name for field in dataclasses.fields(CloudConfig)}
-        given = cloud if isinstance(cloud, dict) else {}
-        return CloudConfig(**{name: value for name, value in given.items() if name in known})
-
-
-def _rig_of(entry: object) -> StereoRig:
-    """Return the rig of an entry of the summary."""
-    if not isinstance(entry, dict):
-        raise CalibrationError('the calibration is missing')
-    size = numbers('image_size', entry.get('image_size'), CalibrationError).astype(int).tolist()
-    left, right = (_camera(entry.get(side), side, size) for side in ('left', 'right'))
-    known = entry.get('covariance')
-    covariance = None
-    if isinstance(known, dict):
-        calibrated = [_camera(known.get(side), side, size) for side in ('left', 'right')]
-        covariance = RigCovariance(
-            calibrated[0],
-            calibrated[1],
-            tuple(known.get('parameters') or ()),
-            numbers('covariance', known.get('matrix'), CalibrationError),
-        )
-    return StereoRig(left, right, covariance=covariance)
-
-
-def _camera(entry: object, side: str, size: list[int]) -> Camera:
-    if not isinstance(entry, Mapping):
-        raise CalibrationError(f'the {side} camera is missing')
-    if len(size) != 2:
-        raise CalibrationError('image_size must be width and height')
-    K, D, R, P = (
-        numbers(f'{name} of the {side} camera', entry.get(name), CalibrationError)
-        for name in ('K', 'D', 'R', 'P')
-    )
-    return Camera(size[0], size[1], K, D, R, P, str(entry.get('distortion_model', 'plumb_bob')))
+        try:
+            return CloudConfig(**{name: value for name, value in given.items() if name in known})
+        except ConfigError as error:
+            raise FileError(f'{self.folder / SUMMARY}: {error}; {_REMEDY}') from error

@@ -14,10 +14,12 @@ import numpy.typing as npt
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, shortened
 from binocular_recon.images import FloatImage
-from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.io.text_files import number, numbers, read_json, whole_number
 from binocular_recon.rotations import cross_matrix
 
-_REMEDY = 'georeference again'
+_REMEDY = 'georeference again, or delete it to stay in the frame of the rig'
+# Small turn, shift and relative scale.
+_PARAMETERS = 7
 _SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
 # A larger element of R R^T - I is no rotation.
 _ROTATION_TOLERANCE = 1e-6
@@ -110,30 +112,107 @@ class Placement:
         return {name: sigma[:, axis] for axis, name in enumerate(_SIGMAS)}
 
 
-def read_placement(path: Path) -> Placement:
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """Content of a ``georeference.json``: ``site = pivot_site + scale R (point - pivot)``.
+
+    Attributes
+    ----------
+    R : (3, 3) float64
+        Rotation from the left rectified frame to the site's.
+    scale : float
+    pivot, pivot_site : (3,) float64
+        A point in both frames, m.
+    covariance : (7, 7) float64
+        As that of `Placement`, without the share of the calibration.
+    calibration : (7, p) float64
+        How these seven move with the parameters of the rig's calibration; p may be 0.
+    names : tuple of str
+        Names of the three axes.
+    level : bool
+        Whether the third axis is up.
+    epsg : int, optional
+        Code of the coordinate reference system.
+
+    """
+
+    R: FloatArray
+    scale: float
+    pivot: FloatArray
+    pivot_site: FloatArray
+    covariance: FloatArray
+    calibration: FloatArray
+    names: tuple[str, str, str]
+    level: bool
+    epsg: int | None
+
+    @property
+    def placement(self) -> Placement:
+        """Where a cloud lies; raises a CalibrationError if R is not a rotation."""
+        return Placement(
+            self.R,
+            self.pivot_site - self.scale * self.R @ self.pivot,
+            self.scale,
+            self.covariance,
+            self.pivot_site,
+            '' if self.epsg is None else f'EPSG:{self.epsg}',
+        )
+
+
+def read_georeference(path: Path) -> Georeference:
     """Read the ``georeference.json`` of an output folder.
 
     Raises
     ------
     FileError
-        If the file cannot be read.
+        If the file cannot be read or is not JSON.
     CalibrationError
-        If it does not hold a placement.
+        If it is not a georeference; the message begins with the path.
 
     """
     content = read_json(path, _REMEDY)
     try:
-        transform, crs = content['transform'], content.get('crs')
-        R, t, centre = (
-            numbers(name, transform[name], CalibrationError) for name in ('R', 't', 'pivot_site')
+        transform, errors, crs = content['transform'], content['errors'], content.get('crs')
+        R, pivot, pivot_site = (
+            numbers(name, transform[name], CalibrationError)
+            for name in ('R', 'pivot', 'pivot_site')
         )
-        scale = number('scale', transform['scale'], CalibrationError)
-        covariance = numbers('covariance', content['errors']['covariance'], CalibrationError)
-        if (R.shape, t.shape, centre.shape, covariance.shape) != ((3, 3), (3,), (3,), (7, 7)):
+        covariance = numbers('covariance', errors['covariance'], CalibrationError)
+        by_calibration = errors['by_calibration']
+        calibration = (
+            numbers('by_calibration', by_calibration, CalibrationError)
+            if by_calibration != [[]] * _PARAMETERS
+            else np.empty((_PARAMETERS, 0))
+        )
+        names = content['axes']
+        if (
+            (R.shape, pivot.shape, pivot_site.shape) != ((3, 3), (3,), (3,))
+            or covariance.shape != (_PARAMETERS, _PARAMETERS)
+            or calibration.shape[:-1] != (_PARAMETERS,)
+        ):
             raise CalibrationError('its matrices have other sizes')
-        system = f'EPSG:{int(crs["epsg"])}' if crs else ''
-        return Placement(R, t, scale, covariance, centre, system)
+        if (np.diag(covariance) < 0).any():
+            raise CalibrationError('its covariance has negative variances')
+        if len(names) != 3 or not all(isinstance(name, str) for name in names):
+            raise CalibrationError(f'axes must be three names, got {shortened(names)}')
+        found = Georeference(
+            R,
+            number('scale', transform['scale'], CalibrationError),
+            pivot,
+            pivot_site,
+            covariance,
+            calibration,
+            (names[0], names[1], names[2]),
+            content['level'] is True,
+            whole_number('epsg', crs['epsg'], CalibrationError) if crs else None,
+        )
+        _ = found.placement  # checks the rotation
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise CalibrationError(
-            f'{path} does not say where the cloud lies: {shortened(error)}; {_REMEDY}'
-        ) from error
+        reason = str(error) if isinstance(error, CalibrationError) else shortened(repr(error))
+        raise CalibrationError(f'{path} is not a georeference: {reason}; {_REMEDY}') from error
+    return found
+
+
+def read_placement(path: Path) -> Placement:
+    """Return where a ``georeference.json`` puts clouds; raises as `read_georeference`."""
+    return read_georeference(path).placement

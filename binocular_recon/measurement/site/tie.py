@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.errors import MeasurementError
-from binocular_recon.io.text_files import number, numbers, read_json
+from binocular_recon.io.exports.placement import read_georeference
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, propagate, root_of
 from binocular_recon.rotations import rotation
@@ -19,7 +18,6 @@ from binocular_recon.rotations import rotation
 TIE_FILE = 'georeference.json'
 # Small turn (rad, about the site's axes), shift (m) and relative scale.
 PARAMETERS = 7
-_REMEDY = 'georeference again, or delete it to measure in the frame of the rig'
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,47 +124,9 @@ def transformed(R: FloatArray, scale: float, offset: FloatArray, moved: FloatArr
 
 
 def read_tie(path: Path) -> SiteTie:
-    """Read a ``georeference.json``.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read or is not JSON.
-    MeasurementError
-        If it is not a georeference; the message begins with the path.
-
-    """
-    content = read_json(path, _REMEDY)
-    try:
-        transform, errors = content['transform'], content['errors']
-        names = tuple(str(name) for name in content['axes'])
-        values = {
-            name: numbers(name, transform[name], MeasurementError)
-            for name in ('R', 'pivot', 'pivot_site')
-        }
-        covariance = numbers('covariance', errors['covariance'], MeasurementError)
-        by_calibration = errors['by_calibration']
-        calibration = (
-            numbers('by_calibration', by_calibration, MeasurementError)
-            if by_calibration[0]
-            else np.empty((PARAMETERS, 0))
-        )
-        scale = number('scale', transform['scale'], MeasurementError)
-        level = content['level'] is True
-    except (KeyError, TypeError, IndexError) as error:
-        raise MeasurementError(f'{path} is not a georeference: {error!r}; {_REMEDY}') from error
-    except MeasurementError as error:
-        raise MeasurementError(f'{path}: {error}; {_REMEDY}') from error
-    shapes = [values['R'].shape, values['pivot'].shape, values['pivot_site'].shape]
-    if (
-        shapes != [(3, 3), (3,), (3,)]
-        or covariance.shape != (PARAMETERS,) * 2
-        or len(calibration) != PARAMETERS
-        or len(names) != 3
-        or not scale > 0
-    ):
-        raise MeasurementError(f'{path} is not a georeference: its matrices differ; {_REMEDY}')
+    """Read a ``georeference.json``; raises as `read_georeference`."""
+    known = read_georeference(path)
     return SiteTie(
-        values['R'], scale, values['pivot'], values['pivot_site'], covariance, calibration,
-        (names[0], names[1], names[2]), level,
+        known.R, known.scale, known.pivot, known.pivot_site, known.covariance, known.calibration,
+        known.names, known.level,
     )  # fmt: skip

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,42 +23,59 @@ from test.bag_tools import rig
 
 pytestmark = pytest.mark.long
 
-KILLS, READERS, RIGS = 2, 4, 7
-FOCAL_PX = 500.0
-SAVER = """
-import itertools, sys
+# `KILLS=1000` in the environment kills more often.
+KILLS, READERS, SAVERS = int(os.environ.get('KILLS', '3')), 4, 2
+FOCAL_PX, STEP_PX = 500.0, 1 / 4096
+TESTS = Path(__file__).parents[2]
+# Starts savers, of other rigs each, per line of input. Each notes what it has saved, and when it
+# began and ended, in memory that outlives it.
+RUNNER = """
+import json, os, sys, time
 from pathlib import Path
+import numpy as np
+import test  # Python's own
 from binocular_recon.calibration.session.calibration_files import save_rig
-from binocular_recon.io.calibration_yaml import read_rig
-rigs = [read_rig(path) for path in Path(sys.argv[2]).iterdir()]
-print('ready', flush=True)
-for one in itertools.cycle(rigs):
-    save_rig(one, Path(sys.argv[1]))
+test.__path__ = [sys.argv[1]]
+from test.bag_tools import rig
+folder, notes = Path(sys.argv[2]), np.memmap(sys.argv[3], np.int64, 'r+', shape=(2, 3))
+focal_px, step_px = map(float, sys.argv[4:])
+parent = os.getpid()
+for line in sys.stdin:
+    savers = []
+    for number, count in enumerate(json.loads(line)):
+        child = os.fork()
+        while not child and os.getppid() == parent:
+            count += 1
+            begun_ns = time.monotonic_ns()
+            save_rig(rig(focal_px + step_px * (2 * count + number)), folder)
+            notes[number] = count, begun_ns, time.monotonic_ns()
+        if not child:
+            os._exit(0)
+        savers.append(child)
+    print(json.dumps(savers), flush=True)
+    sys.stdin.readline()  # they are killed now
+    for saver in savers:
+        os.waitpid(saver, 0)
+    print('ended', flush=True)
 """
 
 
-def start_saving(folder: Path, rigs: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, '-c', SAVER, str(folder), str(rigs)]
-    saver = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert saver.stdout is not None
-    assert saver.stdout.readline() == 'ready\n'
-    return saver
-
-
-def check(one: StereoRig) -> None:
-    """Check that both cameras and the baseline are of one calibration."""
+def saved(one: StereoRig) -> tuple[int, int]:
+    """Return which saver saved a rig, and its how many-th; both cameras must be of it."""
     focal_px = one.left.P[0, 0]
-    assert FOCAL_PX <= focal_px < FOCAL_PX + RIGS
     np.testing.assert_array_equal(one.right.P, rig(focal_px).right.P)
+    count, number = divmod((focal_px - FOCAL_PX) / STEP_PX, SAVERS)
+    assert number.is_integer()
+    return int(number), int(count)
 
 
+@pytest.mark.timeout(0 if KILLS > 10 else 300)
 def test_readers_and_two_savers_that_are_killed(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     save_rig(rig(FOCAL_PX), tmp_path)
-    rigs = tmp_path_factory.mktemp('rigs')
-    for step in range(RIGS):
-        save_rig(rig(FOCAL_PX + step), rigs / str(step))
+    kept = tmp_path_factory.mktemp('notes') / 'notes'
+    notes = np.memmap(kept, np.int64, 'w+', shape=(SAVERS, 3))
     faults: list[BaseException] = []
     reads, more = [0] * READERS, threading.Condition()
     saving, ended = threading.Event(), threading.Event()
@@ -63,7 +83,7 @@ def test_readers_and_two_savers_that_are_killed(
     def read_on(number: int) -> None:
         while saving.wait() and not ended.is_set():
             try:
-                check(read_rig(tmp_path))
+                saved(read_rig(tmp_path))
             except BaseException as error:  # noqa: BLE001 - reported by the test
                 faults.append(error)
                 ended.set()
@@ -71,33 +91,51 @@ def test_readers_and_two_savers_that_are_killed(
                 reads[number] += 1
                 more.notify()
 
+    words = [str(TESTS), str(tmp_path), str(kept), str(FOCAL_PX), str(STEP_PX)]
+    pipe = subprocess.PIPE
+    command = [sys.executable, '-c', RUNNER, *words]
+    runner = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+    assert runner.stdin and runner.stdout
     readers = [threading.Thread(target=read_on, args=(number,)) for number in range(READERS)]
     for reader in readers:
         reader.start()
     try:
+        counts = [0] * SAVERS
         for kill in range(KILLS):
-            savers = [start_saving(tmp_path, rigs) for _ in range(2)]
+            if ended.is_set():
+                break
+            print(json.dumps(counts), file=runner.stdin, flush=True)
+            savers = json.loads(runner.stdout.readline())
             saving.set()
-            goal = sum(reads) + 40 + 7 * kill
+            goal = sum(reads) + 5 + 7 * kill % 40
             with more:
                 more.wait_for(lambda goal=goal: ended.is_set() or sum(reads) >= goal, 60)  # type: ignore[misc]
             for saver in savers:
-                saver.kill()
-                saver.communicate()
+                os.kill(saver, signal.SIGKILL)
+            print(file=runner.stdin, flush=True)
+            assert runner.stdout.readline() == 'ended\n'
             finish_saving(tmp_path)
-            check(read_rig(tmp_path))
+            number, count = saved(read_rig(tmp_path))
+            # the last one that was acknowledged, or the one in progress
+            assert count - notes[number, 0] in (0, 1)
+            if count == notes[number, 0]:
+                later = notes[:, 1] > notes[number, 2]
+                assert not later.any(), 'one that was acknowledged later is lost'
+            counts = [max(int(one), count) + 1 for one in notes[:, 0]]
             if (tmp_path / 'previous').exists():  # the first savers may have come to nothing
-                check(read_rig(tmp_path / 'previous'))
+                saved(read_rig(tmp_path / 'previous'))
             saving.clear()  # until the next savers have started
     finally:
         ended.set()
         saving.set()
         for reader in readers:
             reader.join()
+        runner.communicate()
     assert faults == []
-    assert min(reads) > 5
+    assert min(reads) > KILLS
     save_rig(rig(FOCAL_PX), tmp_path)  # which clears what the killed ones left
     assert sorted(p.name for p in tmp_path.iterdir()) == ['left.yaml', 'previous', 'right.yaml']
+    assert (notes[:, 0] > 0).all()  # the readers let them save
 
 
 def test_files_of_two_calibrations_are_not_mixed(tmp_path: Path) -> None:
