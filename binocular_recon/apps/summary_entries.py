@@ -11,21 +11,18 @@ import numpy as np
 from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.diagnosis import Findings
 from binocular_recon.stereo.point_covariance import sigma_shares
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
 
 
-def frame_entry(
-    index: int, stamp_ns: int | None, frame: FrameResult, seconds: float
-) -> dict[str, Any]:
-    """Return the entry of a frame; only its ``seconds`` differ from run to run."""
+def frame_entry(frame: FrameResult, seconds: float) -> dict[str, Any]:
+    """Return what a frame by itself says; only its ``seconds`` differ from run to run."""
     reconstruction = frame.reconstruction
     points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
     entry: dict[str, Any] = {
-        'index': index,
-        'stamp_ns': stamp_ns,
         'density': float(np.isfinite(frame.disparity_px).mean()),
         'matched': reconstruction.filtered.measured_share,
         'disparity_px': {
@@ -36,13 +33,18 @@ def frame_entry(
         'seconds': round(seconds, 4),
         'points': int(np.count_nonzero(points)),
     }
-    findings = reconstruction.findings
+    if reconstruction.range.warning:
+        entry['warning'] = reconstruction.range.warning
+    return entry
+
+
+def findings_entry(findings: Findings) -> dict[str, Any]:
+    """Return what is added to the entry of a frame if something is wrong with its pair."""
+    entry: dict[str, Any] = {}
     if math.isfinite(findings.rows.median_px):  # enough points were found
         entry['row_offset_px'] = round(findings.rows.median_px, 3)
     if findings.warnings or findings.cause:
         entry['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
-    if reconstruction.range.warning:
-        entry['warning'] = reconstruction.range.warning
     return entry
 
 

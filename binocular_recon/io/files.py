@@ -15,13 +15,12 @@ import os
 import re
 import secrets
 import shutil
-import signal
-import threading
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from binocular_recon._signals import signals_deferred
 from binocular_recon.errors import FileError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -210,44 +209,40 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
         If a folder or file cannot be written.
 
     """
+    with naming_errors(folder), part_folder(folder) as parts:
+        yield parts
+        move_files(parts, folder, completed)
+
+
+def move_files(
+    parts: Path,
+    folder: Path,
+    completed: Callable[[], object] = lambda: None,
+    name: Callable[[str], str] = lambda name: name,
+) -> None:
+    """Move complete files to ``folder``, under the names that ``name`` returns of theirs.
+
+    As `complete_files` does at its end.
+    """
+    complete = sorted(parts.iterdir())
+    for part in complete:
+        flush(part)
+    with signals_deferred():
+        for part in complete:
+            part.replace(folder / name(part.name))
+        flush(folder)
+        completed()
+
+
+@contextlib.contextmanager
+def naming_errors(folder: Path) -> Iterator[None]:
+    """Let errors of the system come out as a FileError that names ``folder`` and the remedy."""
     try:
-        with part_folder(folder) as parts:
-            yield parts
-            complete = sorted(parts.iterdir())
-            for part in complete:
-                flush(part)
-            with _signals_deferred():
-                for part in complete:
-                    part.replace(folder / part.name)
-                flush(folder)
-                completed()
+        yield
     except FileError:
         raise
     except OSError as error:
         raise _failure(folder, error) from error
-
-
-@contextlib.contextmanager
-def _signals_deferred() -> Iterator[None]:
-    """Let SIGINT and SIGTERM wait until the end of the block.
-
-    Python delivers them to the main thread only.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    noticed: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _: noticed.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if noticed:
-        signal.raise_signal(noticed[0])
 
 
 @contextlib.contextmanager

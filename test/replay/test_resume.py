@@ -64,12 +64,15 @@ def exposed_bag(folder: Path) -> Path:
 
 
 def contents(output: Path) -> dict[str, Any]:
-    """Return every file of an output folder; the summary without the times that frames took."""
+    """Return every file of an output folder; the entries without the times that frames took."""
     files: dict[str, Any] = {path.name: path.read_bytes() for path in output.iterdir()}
     summary = json.loads(files.pop('summary.json'))
-    for frame in summary['frames']:
-        assert frame.pop('seconds') >= 0
-    return {**files, 'summary': summary}
+    log = [json.loads(line) for line in files.pop('frames.jsonl').splitlines()]
+    assert [entry for entry in log if 'left_out' not in entry] == summary['frames']
+    assert [entry['left_out'] for entry in log if 'left_out' in entry] == summary['left_out']
+    for frame in (*summary['frames'], *log):
+        assert frame.pop('seconds', 0.0) >= 0
+    return {**files, 'summary': summary, 'log': log}
 
 
 @pytest.fixture(scope='module')
@@ -84,7 +87,7 @@ def undisturbed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     assert reconstruct(bag, output, *STATEFUL) == 1  # a pair is left out
     found = contents(output)
     kept = [one for one in FRAME_FORMATS.values() if not one.on_request]
-    assert len(found) == (len(kept) + 1) * (FRAMES - 1) + 1  # with the drawings and the summary
+    assert len(found) == (len(kept) + 1) * (FRAMES - 1) + 2  # with drawings, summary and log
     levels = found['summary']['progress']['chain']['levels']['uint16']
     assert levels['levels'] == [0, 1020]  # of the new calibration's chain
     return found
@@ -316,4 +319,4 @@ def test_a_command_that_still_starts_ends_with_one_line(
     if stage == 'compilation':
         said += f'; 0 finished frames are kept in {tmp_path / "out"}'
     assert error == said + '\n'
-    assert {path.name for path in tmp_path.glob('out/*')} <= {'summary.json'}
+    assert {path.name for path in tmp_path.glob('out/*')} <= {'summary.json', 'frames.jsonl'}
