@@ -64,6 +64,7 @@ class DaskCluster:
         self._distributed: Any = optional_package('distributed', 'clusters')
         self._address = address
         try:
+            self._distributed.comm.resolve_address(address)  # a client of a wrong one lingers
             self._client = self._distributed.Client(
                 address, timeout=_ANSWER_S, set_as_default=False
             )
@@ -90,10 +91,16 @@ class DaskCluster:
         """As of every `Place`."""
         return self._callers.submit(repeated, self._compute, task, folder)
 
-    def remark(self, outcome: FrameOutcome) -> str:
+    def opening(self) -> str:
         """Say how many workers there are."""
-        del outcome
+        if not self._checked:
+            return f'{self._address} has no workers yet; frames wait for them'
         return f'{len(self._checked)} workers with {self._threads} threads at {self._address}'
+
+    def remark(self, outcome: FrameOutcome) -> str:
+        """Return nothing: each worker has its own memory."""
+        del outcome
+        return ''
 
     def close(self) -> None:
         """Leave the cluster; what workers compute at the moment is dropped."""
@@ -127,7 +134,7 @@ class DaskCluster:
             try:
                 threads = self._client.nthreads()
                 if not threads.keys() <= self._checked:
-                    self._compare(self._client.get_versions(packages=list(_PACKAGES)))
+                    check_versions(self._client.get_versions(packages=list(_PACKAGES)))
             except (OSError, self._distributed.comm.CommClosedError) as error:
                 raise ClusterError(
                     f'the Dask scheduler at {self._address} does not answer any more'
@@ -137,17 +144,19 @@ class DaskCluster:
             self._checked = set(threads)
             self._threads, self._asked_s = sum(threads.values()), time.monotonic()
 
-    def _compare(self, versions: dict[str, Any]) -> None:
-        ours = versions['client']['packages']
-        for address, worker in versions['workers'].items():
-            for name in _PACKAGES:
-                theirs = worker['packages'].get(name)
-                if theirs != ours[name]:
-                    has = f'has {name} {theirs}' if theirs else f'does not have {name}'
-                    raise ClusterError(
-                        f'the worker {address} {has}, this machine has {ours[name]}; install the'
-                        ' same version there and start the worker again'
-                    )
+
+def check_versions(versions: dict[str, Any]) -> None:
+    """Raise a ClusterError if a worker has other versions, by what ``get_versions`` returned."""
+    ours = versions['client']['packages']
+    for address, worker in versions['workers'].items():
+        for name in _PACKAGES:
+            theirs = worker['packages'].get(name)
+            if theirs != ours[name]:
+                has = f'has {name} {theirs}' if theirs else f'does not have {name}'
+                raise ClusterError(
+                    f'the worker {address} {has}, this machine has {ours[name]}; install the same'
+                    ' version there and start the worker again'
+                )
 
 
 def _compute_remotely(task: FrameTask) -> tuple[FrameOutcome, dict[str, bytes]]:

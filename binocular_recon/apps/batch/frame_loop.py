@@ -123,6 +123,7 @@ class FrameLoop:
                     self._rig = pair.rig
                     continue
                 if number == before + 1:
+                    self._say(self._place.opening())
                     prepare()
                     progress.restart_clock()
                 handed.append(self._hand_out(pair))
@@ -224,6 +225,8 @@ class FrameLoop:
         )
         if not outcome.calibrated:
             self._report(_WITHOUT_COVARIANCE)
-        remark = self._place.remark(outcome)
-        if remark:
-            self._report(remark)
+        self._say(self._place.remark(outcome))
+
+    def _say(self, text: str) -> None:
+        if text:
+            self._report(text)

@@ -68,16 +68,21 @@ class LocalProcesses:
         """As of every `Place`."""
         return self._callers.submit(repeated, self._compute, task, folder)
 
-    def remark(self, outcome: FrameOutcome) -> str:
-        """Say how many threads there are and what memory they take."""
+    def opening(self) -> str:
+        """Say how the cores are divided."""
         threads = '1 thread' if self._threads == 1 else f'{self._threads} threads'
-        text = f'{self._jobs} processes with {threads} each'
+        return f'{self._jobs} processes with {threads} each'
+
+    def remark(self, outcome: FrameOutcome) -> str:
+        """Say how much memory the processes take."""
         if outcome.peak_bytes is None:
-            return text
+            return ''
         each = outcome.peak_bytes / _MIB
-        text += f'; one takes {each:.0f} MiB of memory, all {self._jobs * each:.0f}'
         total = os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / _MIB
-        return f'{text} of the {total:.0f} MiB of this machine'
+        return (
+            f'memory: {each:.0f} MiB for a process, {self._jobs * each:.0f} for all, of the'
+            f' {total:.0f} MiB of this machine'
+        )
 
     def close(self) -> None:
         """End the processes at once."""

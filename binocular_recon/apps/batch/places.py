@@ -39,8 +39,11 @@ class Place(Protocol):
         if it makes no sense to go on.
         """
 
+    def opening(self) -> str:
+        """Return what to say at the beginning; it may be empty."""
+
     def remark(self, outcome: FrameOutcome) -> str:
-        """Return what to say after the first frame."""
+        """Return what to say after the first frame; it may be empty."""
 
     def close(self) -> None:
         """End what computes; it does not wait for frames."""
@@ -59,6 +62,10 @@ class ThisProcess:
         except BinocularReconError as error:
             future.set_exception(error)
         return future
+
+    def opening(self) -> str:
+        """Return nothing."""
+        return ''
 
     def remark(self, outcome: FrameOutcome) -> str:
         """Return nothing."""
