@@ -11,7 +11,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from binocular_recon._signals import signals_deferred
 from binocular_recon.apps.batch.frame_log import FrameLog
 from binocular_recon.apps.batch.frame_task import FrameOutcome
 from binocular_recon.apps.earlier_run import earlier_run
@@ -22,7 +21,13 @@ from binocular_recon.apps.summary_entries import (
     findings_entry,
 )
 from binocular_recon.camera import StereoRig
-from binocular_recon.io.files import ClaimedFolder, move_files, naming_errors, write_json
+from binocular_recon.io.files import (
+    ClaimedFolder,
+    move_files,
+    naming_errors,
+    signals_deferred,
+    write_json,
+)
 from binocular_recon.number_text import reach
 from binocular_recon.stereo.diagnosis import Findings
 

@@ -15,12 +15,13 @@ import os
 import re
 import secrets
 import shutil
+import signal
+import threading
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from binocular_recon._signals import signals_deferred
 from binocular_recon.errors import FileError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -235,6 +236,29 @@ def move_files(
 
 
 @contextlib.contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait until the end of the block.
+
+    Python delivers them to the main thread only.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noticed: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: noticed.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if noticed:
+        signal.raise_signal(noticed[0])
+
+
+@contextlib.contextmanager
 def naming_errors(folder: Path) -> Iterator[None]:
     """Let errors of the system come out as a FileError that names ``folder`` and the remedy."""
     try:
@@ -243,26 +267,6 @@ def naming_errors(folder: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise _failure(folder, error) from error
-
-
-@contextlib.contextmanager
-def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
-    """Wait for the lock of a folder and hold it; nothing where its file system has no locks.
-
-    Other processes and threads that lock the folder wait meanwhile, those that share it only for
-    one that does not. The lock of a process that dies is free.
-    """
-    try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:  # it is not a folder, or one that cannot be opened
-        yield
-        return
-    try:
-        with contextlib.suppress(OSError):  # a network file system without locks
-            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def flush(path: Path) -> None:
