@@ -31,6 +31,7 @@ from test.bag_tools import (
     stereo_records,
     write_bag,
 )
+from test.frame_results import contents
 from test.replay.reconstruction import RANGE, reconstruct
 
 FRAMES, LEFT_OUT = 8, 3
@@ -61,18 +62,6 @@ def exposed_bag(folder: Path) -> Path:
                 (f'/{side}/image_raw', message, stamp_ns + 1),
             ]
     return write_bag(folder / 'bag', records)
-
-
-def contents(output: Path) -> dict[str, Any]:
-    """Return every file of an output folder; the entries without the times that frames took."""
-    files: dict[str, Any] = {path.name: path.read_bytes() for path in output.iterdir()}
-    summary = json.loads(files.pop('summary.json'))
-    log = [json.loads(line) for line in files.pop('frames.jsonl').splitlines()]
-    assert [entry for entry in log if 'left_out' not in entry] == summary['frames']
-    assert [entry['left_out'] for entry in log if 'left_out' in entry] == summary['left_out']
-    for frame in (*summary['frames'], *log):
-        assert frame.pop('seconds', 0.0) >= 0
-    return {**files, 'summary': summary, 'log': log}
 
 
 @pytest.fixture(scope='module')

@@ -7,6 +7,7 @@ others see.
 
 from __future__ import annotations
 
+import logging
 import tempfile
 import threading
 import time
@@ -63,6 +64,8 @@ class DaskCluster:
     def __init__(self, address: str) -> None:
         self._distributed: Any = optional_package('distributed', 'clusters')
         self._address = address
+        # what matters of it comes as an error; it would be a traceback of many lines
+        logging.getLogger('distributed').setLevel(logging.CRITICAL)
         try:
             self._distributed.comm.resolve_address(address)  # a client of a wrong one lingers
             self._client = self._distributed.Client(
@@ -109,7 +112,7 @@ class DaskCluster:
 
     def _compute(self, task: FrameTask, folder: Path) -> FrameOutcome:
         try:
-            future = self._client.submit(_compute_remotely, task, pure=False)
+            future = self._client.submit(compute_remotely, task, pure=False)
             outcome, files = future.result()
         except self._distributed.KilledWorker as error:
             raise FrameFailedError(
@@ -159,7 +162,7 @@ def check_versions(versions: dict[str, Any]) -> None:
                 )
 
 
-def _compute_remotely(task: FrameTask) -> tuple[FrameOutcome, dict[str, bytes]]:
+def compute_remotely(task: FrameTask) -> tuple[FrameOutcome, dict[str, bytes]]:
     """Compute a frame and return its files by name; runs on a worker."""
     cv2.setNumThreads(thread_count())
     with tempfile.TemporaryDirectory(prefix='binocular_recon_') as folder:
