@@ -11,6 +11,7 @@ import logging
 import tempfile
 import threading
 import time
+import warnings
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,8 @@ class DaskCluster:
         self._address = address
         # what matters of it comes as an error; it would be a traceback of many lines
         logging.getLogger('distributed').setLevel(logging.CRITICAL)
+        # images go with their task: what is stored on a worker would be lost with it
+        warnings.filterwarnings('ignore', 'Sending large graph')
         try:
             self._distributed.comm.resolve_address(address)  # a client of a wrong one lingers
             self._client = self._distributed.Client(
