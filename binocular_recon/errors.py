@@ -61,3 +61,7 @@ class FileError(BinocularReconError, OSError):
 
 class DependencyError(BinocularReconError):
     """A package is missing that only some users need."""
+
+
+class ClusterError(BinocularReconError):
+    """A cluster of machines cannot be reached or used."""

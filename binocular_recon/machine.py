@@ -21,6 +21,7 @@ from binocular_recon.errors import DependencyError, shortened
 # The extra that installs each package.
 EXTRAS = {
     'av': 'video',
+    'distributed': 'cluster',
     'laspy': 'survey',
     'lazrs': 'survey',
     'onnxruntime': 'onnx',

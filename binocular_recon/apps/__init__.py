@@ -2,7 +2,8 @@
 """The work behind commands and nodes, without their front ends.
 
 `reconstruction` runs the chain on all pairs of an input: a bag (`bag_input`), or image files or
-videos (`file_input`); `pair_input` is what these have in common. `output_folder` holds the
+videos (`file_input`); `pair_input` is what these have in common. `batch` computes the frames, in
+this process, several or on a cluster. `output_folder` holds the
 results; `frame_formats` is the table of the files of each frame, where a new output format is
 added, `summary_entries` what the summary says of it. `stored_frame` reads the frames of such a
 folder, `export` writes them in other formats. `earlier_run` tells whether an interrupted

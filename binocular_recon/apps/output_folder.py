@@ -11,19 +11,25 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.apps.batch.frame_log import FrameLog
+from binocular_recon.apps.batch.frame_task import FrameOutcome
 from binocular_recon.apps.earlier_run import earlier_run, state_digest
-from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult, formats_named
+from binocular_recon.apps.frame_formats import FRAME_FORMATS, formats_named
 from binocular_recon.apps.summary_entries import (
     RIG_ENTRY,
     calibration_entry,
-    first_rig_entry,
-    frame_entry,
+    findings_entry,
 )
 from binocular_recon.camera import StereoRig
-from binocular_recon.io.files import ClaimedFolder, complete_files, write_json
+from binocular_recon.io.files import (
+    ClaimedFolder,
+    move_files,
+    naming_errors,
+    signals_deferred,
+    write_json,
+)
 from binocular_recon.number_text import reach
-from binocular_recon.stereo.pipeline import Reconstruction
-from binocular_recon.stereo.validity import MOST_OUTSIDE
+from binocular_recon.stereo.diagnosis import Findings
 
 # What the summary says of the recording at the end.
 _RECORDING = ('unpaired', 'images_read', 'damage')
@@ -108,6 +114,8 @@ class ResultFolder:
         self._rig = {
             name: before[name] for name in RIG_ENTRY if name in before and before['frames']
         }
+        earlier = [*self.frames, *({'left_out': one} for one in self.left_out)]
+        self._log = FrameLog(folder, earlier)
         self._next_summary_s = -math.inf
 
     @property
@@ -115,28 +123,36 @@ class ResultFolder:
         """Mean share of the pixels that were measured; 0 without a frame."""
         return statistics.fmean([frame['matched'] for frame in self.frames] or [0.0])
 
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Keys of `FRAME_FORMATS` of the files that each frame has."""
+        return tuple(self._formats)
+
     def add(
         self,
-        stamp_ns: int | None,
+        parts: Path,
+        outcome: FrameOutcome,
+        findings: Findings,
         rig: StereoRig,
-        reconstruction: Reconstruction,
-        seconds: float,
+        stamp_ns: int | None = None,
         chain_state: dict[str, Any] | None = None,
         *,
         names: tuple[str, str] | None = None,
     ) -> None:
-        """Write all files of a frame or none; raises a FileError if they cannot be written.
+        """Take over all files of a frame or none; raises a FileError if that is not possible.
 
         Parameters
         ----------
-        stamp_ns : int, optional
-            Stamp of the pair, if it is known.
+        parts : Path
+            Folder of the files, whose names begin with a number of six digits or more.
+        outcome : FrameOutcome
+            What came of the pair.
+        findings : Findings
+            What is wrong with it.
         rig : StereoRig
             Its calibration.
-        reconstruction : Reconstruction
-            The frame.
-        seconds : float
-            Time that it took.
+        stamp_ns : int, optional
+            Stamp of the pair, if it is known.
         chain_state : dict, optional
             `Chain.state` after it.
         names : (str, str), optional
@@ -144,11 +160,10 @@ class ResultFolder:
 
         """
         index = len(self.frames)
-        result = FrameResult(reconstruction, rig)
-        entry = frame_entry(index, stamp_ns, result, seconds)
+        entry = {'index': index, 'stamp_ns': stamp_ns, **outcome.entry, **findings_entry(findings)}
         if names:
             entry['images'] = list(names)
-        rig_entry = self._rig or first_rig_entry(result)
+        rig_entry = self._rig or outcome.rig_entry
         calibration = calibration_entry(rig)
         if calibration != rig_entry['calibration']:
             entry['calibration'] = calibration
@@ -156,35 +171,37 @@ class ResultFolder:
         def completed() -> None:
             self._rig = rig_entry
             self.frames.append(entry)
-            self.cause = self.cause or reconstruction.findings.cause
-            if reconstruction.range.outside_share > MOST_OUTSIDE:
-                self.refused.append(reconstruction.range.warning)
-            self._advance(chain_state)
+            self.cause = self.cause or findings.cause
+            if outcome.outside:
+                self.refused.append(outcome.outside)
+            self._advance(chain_state, entry)
 
-        with complete_files(self.folder, completed) as parts:
-            for spec in self._formats.values():
-                spec.write_frame(parts, index, result)
+        with naming_errors(self.folder):
             if not self.frames:  # the summary of an earlier run does not fit any more
                 self._summary.unlink(missing_ok=True)
+            move_files(parts, self.folder, completed, lambda name: _renumbered(name, index))
         self._save_progress()
 
     def leave_out(
         self,
         stamp_ns: int | None,
-        reason: Exception,
+        reason: str,
         chain_state: dict[str, Any] | None = None,
         *,
         names: tuple[str, str] | None = None,
     ) -> None:
         """Note a pair that could not be reconstructed, and `Chain.state` after it."""
         images = {'images': list(names)} if names else {}
-        self.left_out.append({'stamp_ns': stamp_ns, **images, 'reason': str(reason)})
-        self._advance(chain_state)
+        entry = {'stamp_ns': stamp_ns, **images, 'reason': reason}
+        with signals_deferred():
+            self.left_out.append(entry)
+            self._advance(chain_state, {'left_out': entry})
         self._save_progress()
 
-    def _advance(self, chain_state: dict[str, Any] | None) -> None:
+    def _advance(self, chain_state: dict[str, Any] | None, line: dict[str, Any]) -> None:
         self.pairs += 1
         self.chain_state = chain_state
+        self._log.add(line)
 
     def _save_progress(self) -> None:
         """Write the summary so far, unless that was done a short while ago."""
@@ -267,3 +284,8 @@ class ResultFolder:
             f'; baseline {self._rig["baseline_m"]:.4g} m, focal length'
             f' {self._rig["focal_px"]:.0f} px, searched from {near:.3g} m to {reach(far)}'
         )
+
+
+def _renumbered(name: str, index: int) -> str:
+    """Return the name of a file of a frame with the number of the frame."""
+    return f'{index:06d}{name.lstrip("0123456789")}'

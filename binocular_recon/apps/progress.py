@@ -8,6 +8,7 @@ import sys
 import time
 
 from binocular_recon.errors import plain_text
+from binocular_recon.number_text import significant
 
 # Steps may take microseconds; drawing the line takes longer.
 _REDRAW_PERIOD_S = 0.1
@@ -68,7 +69,7 @@ class ProgressBar:
         if done > self._before:
             step_s = (now_s - self._start) / (done - self._before)
             left_s = step_s * max(0, self._total - done)
-            text += f', {left_s:.0f} s left'
+            text += f', {_rate(step_s)}, {duration(left_s)} left'
         return f'{text}  {plain_text(note)}' if note else text
 
     def _redraw(self, done: int, text: str) -> None:
@@ -77,3 +78,18 @@ class ProgressBar:
         width = max(0, min(40, columns - len(text) - 4))
         bar = f'[{"#" * round(width * share):<{width}}]' if width >= 5 else ''
         print(end=f'\r\033[K{bar} {text}'[: columns + 3], file=sys.stderr, flush=True)
+
+
+def _rate(step_s: float) -> str:
+    """Return how fast steps are done, with a number that is not below 1."""
+    if step_s > 1:
+        return f'{significant(step_s, 2)} s each'
+    return f'{significant(1 / max(step_s, 1e-9), 2)} per second'
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as people say it: in seconds, minutes or hours and minutes."""
+    if seconds < 100:
+        return f'{seconds:.0f} s'
+    minutes = round(seconds / 60)
+    return f'{minutes} min' if minutes < 100 else f'{minutes // 60} h {minutes % 60:02d} min'

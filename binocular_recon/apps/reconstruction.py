@@ -4,34 +4,25 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import re
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any
 
+from binocular_recon.apps.batch.frame_loop import FrameLoop, Remarks
+from binocular_recon.apps.batch.frame_task import load_kernels
+from binocular_recon.apps.batch.places import Place, ThisProcess
 from binocular_recon.apps.output_folder import ResultFolder
-from binocular_recon.apps.pair_input import PairInput, PairStream
-from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.camera import StereoRig
+from binocular_recon.apps.pair_input import OpenInput, PairInput
 from binocular_recon.config import ChainConfig
-from binocular_recon.errors import BinocularReconError, FileError, ImageError
-from binocular_recon.io.pfm import read_pfm
+from binocular_recon.errors import BinocularReconError, ConfigError, FileError
 from binocular_recon.machine import machine_facts
-from binocular_recon.stereo.pipeline import Chain, warm_up
-from binocular_recon.stereo.search_range import SearchRange, range_of_depths
 from binocular_recon.stereo.validity import (
     LEAST_MATCHED,
     REMEDY,
     few_matched_warning,
 )
 
-_WITHOUT_COVARIANCE = (
-    'sigma holds the share of matching only; --calibration with the folder of a calibration, which'
-    ' has its covariance in calibration.json, adds that of the calibration'
-)
 # Loading compiled kernels takes less.
 _LONG_S = 5.0
 
@@ -45,6 +36,8 @@ def reconstruct_pairs(
     formats: Collection[str] = (),
     least_matched: float = LEAST_MATCHED,
     resume: bool = False,
+    jobs: int = 1,
+    scheduler: str = '',
     report: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Reconstruct the pairs of an input; the files of each frame are written as it is finished.
@@ -66,6 +59,10 @@ def reconstruct_pairs(
     resume : bool
         Whether to continue the run of the same input and options in ``output``: what is there
         already is not computed again, and the files are those of an uninterrupted run.
+    jobs : int
+        Number of processes that compute frames; the files are the same.
+    scheduler : str
+        Address of a Dask scheduler whose workers compute the frames instead.
     report : callable
         Takes a line for the user at the start, and warnings.
 
@@ -78,6 +75,10 @@ def reconstruct_pairs(
     ------
     BinocularReconError
         If nothing could be reconstructed; or, after the rest was, if a part could not be.
+    ConfigError
+        If frames cannot be computed by so many processes or with these options.
+    ClusterError
+        If the cluster cannot be reached or used.
     FileError
         If files cannot be written, or with ``resume`` the run in ``output`` is another one.
     KeyboardInterrupt
@@ -85,7 +86,7 @@ def reconstruct_pairs(
         how many.
 
     """
-    with source.open() as opened:
+    with closing(_place(jobs, scheduler, config)) as place, source.open() as opened:
         made_from = {
             'source': opened.facts,
             'preset': preset,
@@ -96,12 +97,12 @@ def reconstruct_pairs(
         try:
             if results.facts:
                 report(f'{output} is finished already; --no-resume computes it again')
-                _Remarks(report).frames(results.frames)
+                Remarks(report).frames(results.frames)
             else:
                 for text in opened.remarks:
                     report(text)
-                pairs, rectify = opened.pairs, not opened.rectified
-                _reconstruct(pairs, source, results, config, report, rectify=rectify)
+                pairs = opened.pairs
+                _reconstruct(opened, source, results, config, place, report)
                 results.facts = {
                     'unpaired': pairs.unpaired,
                     'images_read': pairs.images_read,
@@ -131,107 +132,47 @@ def reconstruct_pairs(
 def _prepare(config: ChainConfig, report: Callable[[str], None]) -> None:
     """Compile the kernels before frames are timed; report it if that took long."""
     begun = time.perf_counter()
-    warm_up(config)
+    load_kernels(config)
     seconds = time.perf_counter() - begun
     if seconds > _LONG_S:
         report(f'kernels compiled in {seconds:.0f} s; they are kept for the next run')
 
 
 def _reconstruct(
-    stream: PairStream,
+    opened: OpenInput,
     source: PairInput,
     results: ResultFolder,
     config: ChainConfig,
+    place: Place,
     report: Callable[[str], None],
-    *,
-    rectify: bool,
 ) -> None:
-    chain, rig, remarks = None, None, _Remarks(report)
-    count = -(-stream.expected // source.every)
-    before = results.pairs
-    if before:
-        report(f'{len(results.frames)} frames are finished already; continuing after them')
-        remarks.frames(results.frames)
-    with ProgressBar(min(count, source.max_frames or count), 'frames', before) as progress:
-        pairs = itertools.islice(stream, 0, None, source.every)
-        for number, pair in enumerate(pairs, 1):
-            if number <= before:
-                rig = pair.rig
-                if number == before and len(results.frames) == source.max_frames:
-                    return
-                continue
-            if chain is None:
-                _prepare(config, report)
-                progress.restart_clock()
-            if chain is None or pair.rig is not rig:
-                chain = Chain(pair.rig, config, rectify=rectify, alpha=source.alpha)
-                if before and pair.rig is rig:
-                    _restore(chain, results)
-                rig = pair.rig
-                remarks.say(*pair.rig.notices, *(f'warning: {text}' for text in rig.warnings))
-                if source.near_m is not None:
-                    chain.search(range_of_depths(source.near_m, source.far_m, chain.rig))
-            start = time.perf_counter()
-            try:
-                reconstruction = chain(*pair.images())
-            except ImageError as error:
-                results.leave_out(pair.stamp_ns, error, chain.state(), names=pair.names)
-            else:
-                seconds = time.perf_counter() - start
-                if not results.frames:
-                    report(_opening(reconstruction.range.search, chain.rig))
-                    if not reconstruction.cloud.calibrated:
-                        report(_WITHOUT_COVARIANCE)
-                results.add(
-                    pair.stamp_ns,
-                    pair.rig,
-                    reconstruction,
-                    seconds,
-                    chain.state(),
-                    names=pair.names,
-                )
-                remarks.frames(results.frames[-1:])
-            progress.show(len(results.frames) + len(results.left_out))
-            if len(results.frames) == source.max_frames:
-                return
+    """Reconstruct the pairs at a place; what they compute there ends if this raises."""
+    loop = FrameLoop(source, config, results, place, report, rectify=not opened.rectified)
+    try:
+        loop.run(opened.pairs, lambda: _prepare(config, report) if place.compiles else None)
+    finally:
+        place.close()
+        loop.drop()
 
 
-class _Remarks:
-    """Reports remarks, one of each kind: of those that differ only in numbers the first."""
+def _place(jobs: int, scheduler: str, config: ChainConfig) -> Place:
+    """Return where frames are computed."""
+    if jobs == 1 and not scheduler:
+        return ThisProcess()
+    if config.filter.wls_video:
+        raise ConfigError(
+            'with wls_video each frame starts from the one before, so that they cannot be computed'
+            ' at the same time; omit it, or --jobs and --scheduler'
+        )
+    if scheduler and jobs != 1:
+        raise ConfigError(
+            '--scheduler gives frames to the workers of a cluster and --jobs to processes of this'
+            ' machine; omit one of them'
+        )
+    from binocular_recon.apps.batch.dask_cluster import DaskCluster
+    from binocular_recon.apps.batch.local_processes import LocalProcesses
 
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._report = report
-        self._said: set[str] = set()
-
-    def say(self, *texts: str) -> None:
-        for text in texts:
-            kind = re.sub(r'\d+(\.\d+)?', '#', text)
-            if kind not in self._said:
-                self._said.add(kind)
-                self._report(text)
-
-    def frames(self, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Report the warnings of frames, of this run or an earlier one, by their entries."""
-        for entry in entries:
-            texts = entry.get('warning'), *entry.get('findings', ())
-            self.say(*(f'warning: {text}' for text in texts if text))
-
-
-def _restore(chain: Chain, results: ResultFolder) -> None:
-    """Let a chain go on where the earlier run ended."""
-    if results.chain_state is None:
-        return
-    last_px = None
-    if results.chain_state['starts_from_last']:
-        last_px = read_pfm(results.folder / f'{len(results.frames) - 1:06d}_disparity.pfm')
-    chain.restore(results.chain_state, last_px)
-
-
-def _opening(search: SearchRange, rig: StereoRig) -> str:
-    return (
-        f'baseline {rig.baseline_m:.3f} m, focal length {rig.focal_px:.0f} px; search range:'
-        f' {search.describe(rig)}'
-    )
+    return DaskCluster(scheduler) if scheduler else LocalProcesses(jobs)
 
 
 def _raise_problems(

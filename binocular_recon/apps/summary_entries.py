@@ -14,6 +14,7 @@ from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError, FileError, shortened
 from binocular_recon.images import FloatImage
 from binocular_recon.io.text_files import numbers, read_json
+from binocular_recon.stereo.diagnosis import Findings
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
@@ -35,15 +36,11 @@ _KINDS = {
 }
 
 
-def frame_entry(
-    index: int, stamp_ns: int | None, frame: FrameResult, seconds: float
-) -> dict[str, Any]:
-    """Return the entry of a frame; only its ``seconds`` differ from run to run."""
+def frame_entry(frame: FrameResult, seconds: float) -> dict[str, Any]:
+    """Return what a frame by itself says; only its ``seconds`` differ from run to run."""
     reconstruction = frame.reconstruction
     points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
     entry: dict[str, Any] = {
-        'index': index,
-        'stamp_ns': stamp_ns,
         'density': float(np.isfinite(frame.disparity_px).mean()),
         'matched': reconstruction.filtered.measured_share,
         'disparity_px': {
@@ -54,13 +51,18 @@ def frame_entry(
         'seconds': round(seconds, 4),
         'points': int(np.count_nonzero(points)),
     }
-    findings = reconstruction.findings
+    if reconstruction.range.warning:
+        entry['warning'] = reconstruction.range.warning
+    return entry
+
+
+def findings_entry(findings: Findings) -> dict[str, Any]:
+    """Return what is added to the entry of a frame if something is wrong with its pair."""
+    entry: dict[str, Any] = {}
     if math.isfinite(findings.rows.median_px):  # enough points were found
         entry['row_offset_px'] = round(findings.rows.median_px, 3)
     if findings.warnings or findings.cause:
         entry['findings'] = [*findings.warnings, *filter(None, [findings.cause])]
-    if reconstruction.range.warning:
-        entry['warning'] = reconstruction.range.warning
     return entry
 
 

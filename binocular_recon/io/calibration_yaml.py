@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,7 @@ from binocular_recon.io.calibration_json import read_covariance
 from binocular_recon.io.calibrations.formats.ros import camera_values
 from binocular_recon.io.calibrations.registry import formats_text, read_calibration
 from binocular_recon.io.calibrations.source import SourceFile
-from binocular_recon.io.files import complete_file, locked
+from binocular_recon.io.files import complete_file
 
 # Key of what left and right have in common, so that those of two calibrations are not mixed.
 _ID = 'calibration_id'
@@ -26,6 +29,26 @@ _ID = 'calibration_id'
 PENDING = '.calibration.new'
 # How often a calibration is read that is replaced meanwhile, before savers are made to wait.
 _TRIES = 5
+
+
+@contextlib.contextmanager
+def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
+    """Wait for the lock of a folder and hold it; nothing where its file system has no locks.
+
+    Other processes and threads that lock the folder wait meanwhile, those that share it only for
+    one that does not. The lock of a process that dies is free.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:  # it is not a folder, or one that cannot be opened
+        yield
+        return
+    try:
+        with contextlib.suppress(OSError):  # a network file system without locks
+            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def read_camera(path: Path, *, rectified: bool = False) -> Camera:

@@ -201,25 +201,33 @@ def complete_files(folder: Path, completed: Callable[[], object] = lambda: None)
         If a folder or file cannot be written.
 
     """
-    try:
-        with part_folder(folder) as parts:
-            yield parts
-            complete = sorted(parts.iterdir())
-            for part in complete:
-                flush(part)
-            with _signals_deferred():
-                for part in complete:
-                    part.replace(folder / part.name)
-                flush(folder)
-                completed()
-    except FileError:
-        raise
-    except OSError as error:
-        raise _failure(folder, error) from error
+    with naming_errors(folder), part_folder(folder) as parts:
+        yield parts
+        move_files(parts, folder, completed)
+
+
+def move_files(
+    parts: Path,
+    folder: Path,
+    completed: Callable[[], object] = lambda: None,
+    name: Callable[[str], str] = lambda name: name,
+) -> None:
+    """Move complete files to ``folder``, under the names that ``name`` returns of theirs.
+
+    As `complete_files` does at its end.
+    """
+    complete = sorted(parts.iterdir())
+    for part in complete:
+        flush(part)
+    with signals_deferred():
+        for part in complete:
+            part.replace(folder / name(part.name))
+        flush(folder)
+        completed()
 
 
 @contextlib.contextmanager
-def _signals_deferred() -> Iterator[None]:
+def signals_deferred() -> Iterator[None]:
     """Let SIGINT and SIGTERM wait until the end of the block.
 
     Python delivers them to the main thread only.
@@ -242,23 +250,14 @@ def _signals_deferred() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def locked(folder: Path, *, shared: bool = False) -> Iterator[None]:
-    """Wait for the lock of a folder and hold it; nothing where its file system has no locks.
-
-    Other processes and threads that lock the folder wait meanwhile, those that share it only for
-    one that does not. The lock of a process that dies is free.
-    """
+def naming_errors(folder: Path) -> Iterator[None]:
+    """Let errors of the system come out as a FileError that names ``folder`` and the remedy."""
     try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:  # it is not a folder, or one that cannot be opened
         yield
-        return
-    try:
-        with contextlib.suppress(OSError):  # a network file system without locks
-            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
+    except FileError:
+        raise
+    except OSError as error:
+        raise _failure(folder, error) from error
 
 
 def flush(path: Path) -> None:

@@ -90,14 +90,14 @@ class PairCheck:
     ) -> Findings:
         """Return what is wrong with this pair, or with the last one that was examined.
 
+        A pair without matches is always examined.
+
         Parameters
         ----------
-        left, right : (H, W) float32
-            Rectified grey images; NaN = no data.
+        left, right, config, infinity_px
+            As for `overview`.
         matched : Match
             Their match.
-        config, infinity_px
-            As for `overview`.
         faults : (str, str), optional
             `image_fault` of both, if that is known.
 
@@ -107,23 +107,26 @@ class PairCheck:
             If few pixels are matched and the images match only when they are exchanged.
 
         """
-        few = matched.matched_share < FEW_MATCHED
+        few, unmatched = matched.matched_share < FEW_MATCHED, not matched.matched_share
         with self._lock:
             due = self._counts[few] % EXAMINE_EVERY == 0
             self._counts[few] += 1
-        cause = ''
+            if due:
+                self._last[few] = NOTHING
+        cause, found = '', NOTHING
         if few:
             faults = faults or (image_fault(left), image_fault(right))
             sides = zip(('left', 'right'), faults, strict=True)
             cause = next((f'the {side} image {fault}' for side, fault in sides if fault), '')
             if not cause:
                 check_order(left, right, config, infinity_px)
-        if due and few:
-            cause = cause or explain_few(left, right, config, infinity_px)
-            self._last[few] = Findings(cause=cause)
+        if few and (due or unmatched):
+            found = Findings(cause=cause or explain_few(left, right, config, infinity_px))
         elif due:
-            self._last[few] = _examined(left, right, matched)
-        return self._last[few]
+            found = _examined(left, right, matched)
+        if due:
+            self._last[few] = found
+        return found if unmatched else self._last[few]
 
     def state(self) -> dict[str, Any]:
         """Return what the findings of later pairs depend on, as JSON can hold it."""
@@ -179,9 +182,7 @@ def explain_few(
 
     Parameters
     ----------
-    left, right : (H, W) float32
-        Rectified grey images; NaN = no data.
-    config, infinity_px
+    left, right, config, infinity_px
         As for `overview`.
 
     """

@@ -43,7 +43,7 @@ def frames_of(output: Path) -> int:
         for i in range(count)
         for ending in (spec.ending for spec in FRAME_FORMATS.values() if not spec.on_request)
     }
-    assert {path.name for path in output.iterdir()} == names | {'summary.json'}
+    assert {path.name for path in output.iterdir()} == names | {'summary.json', 'frames.jsonl'}
     assert [frame['index'] for frame in summary['frames']] == list(range(count))
     return count
 

@@ -129,7 +129,9 @@ def test_summary_says_what_was_done(wall: tuple[Path, Path]) -> None:
     assert {'binocular_recon', 'python', 'numpy', 'opencv', 'rosbags'} <= set(summary['versions'])
     names = {path.name for path in output.iterdir()}
     endings = {one.ending for one in FRAME_FORMATS.values() if not one.on_request} | {'_cloud.png'}
-    assert names == {'summary.json'} | {f'00000{i}{ending}' for i in (0, 1) for ending in endings}
+    assert names == {'summary.json', 'frames.jsonl'} | {
+        f'00000{i}{ending}' for i in (0, 1) for ending in endings
+    }
     heat = read_image_file(output / '000000_disparity.png')
     assert heat.shape[0] == HEIGHT and heat.shape[1] > WIDTH  # with a colour bar
     assert summary['baseline_m'] == pytest.approx(BASELINE_M)

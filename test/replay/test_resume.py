@@ -31,6 +31,7 @@ from test.bag_tools import (
     stereo_records,
     write_bag,
 )
+from test.frame_results import contents
 from test.replay.reconstruction import RANGE, reconstruct
 
 FRAMES, LEFT_OUT = 8, 3
@@ -63,15 +64,6 @@ def exposed_bag(folder: Path) -> Path:
     return write_bag(folder / 'bag', records)
 
 
-def contents(output: Path) -> dict[str, Any]:
-    """Return every file of an output folder; the summary without the times that frames took."""
-    files: dict[str, Any] = {path.name: path.read_bytes() for path in output.iterdir()}
-    summary = json.loads(files.pop('summary.json'))
-    for frame in summary['frames']:
-        assert frame.pop('seconds') >= 0
-    return {**files, 'summary': summary}
-
-
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exposed_bag(tmp_path_factory.mktemp('exposed'))
@@ -84,7 +76,7 @@ def undisturbed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     assert reconstruct(bag, output, *STATEFUL) == 1  # a pair is left out
     found = contents(output)
     kept = [one for one in FRAME_FORMATS.values() if not one.on_request]
-    assert len(found) == (len(kept) + 1) * (FRAMES - 1) + 1  # with the drawings and the summary
+    assert len(found) == (len(kept) + 1) * (FRAMES - 1) + 2  # with drawings, summary and log
     levels = found['summary']['progress']['chain']['levels']['uint16']
     assert levels['levels'] == [0, 1020]  # of the new calibration's chain
     return found
@@ -341,4 +333,4 @@ def test_a_command_that_still_starts_ends_with_one_line(
     if stage == 'compilation':
         said += f'; 0 finished frames are kept in {tmp_path / "out"}'
     assert error == said + '\n'
-    assert {path.name for path in tmp_path.glob('out/*')} <= {'summary.json'}
+    assert {path.name for path in tmp_path.glob('out/*')} <= {'summary.json', 'frames.jsonl'}

@@ -15,11 +15,10 @@ from binocular_recon.calibration.result import CalibrationResult
 from binocular_recon.calibration.session.board_images import draw_boards
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
-from binocular_recon.io.calibration_yaml import PENDING, write_rig
+from binocular_recon.io.calibration_yaml import PENDING, locked, write_rig
 from binocular_recon.io.files import (
     complete_file,
     flush,
-    locked,
     make_folder,
     part_folder,
     remove_abandoned,

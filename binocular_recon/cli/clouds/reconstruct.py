@@ -87,6 +87,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='PERCENT',
         help='exit with status 1 if a smaller share of the pixels is measured (%(default)g)',
     )
+    parser.add_argument(
+        '--jobs',
+        type=positive(int),
+        default=1,
+        metavar='N',
+        help='compute N frames at a time, by processes that share the cores (%(default)s)',
+    )
+    parser.add_argument(
+        '--scheduler',
+        default='',
+        metavar='ADDRESS',
+        help='compute frames on a Dask cluster, whose scheduler has this address: tcp://host:8786',
+    )
     _add_input_options(parser)
     add_chain_options(parser)
 
@@ -168,6 +181,8 @@ def run(args: argparse.Namespace) -> None:
             formats=formats,
             least_matched=args.least_matched / 100,
             resume=args.resume,
+            jobs=args.jobs,
+            scheduler=args.scheduler,
             report=note,
         )
     )

@@ -84,7 +84,6 @@ def _write_side(path: Path, geometry: DepthGeometry, facts: dict[str, Any]) -> N
     (fx, _, cx), (_, fy, cy) = geometry.P[:2, :3].tolist()
     width, height = geometry.size
     content = {
-        'image': path.name,
         'content': 'depth along the optical axis (z) of the rectified left camera',
         **facts,
         'width': width,

@@ -28,6 +28,7 @@ from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 from test import bag_tools
+from test.frame_results import add_frame
 
 RIG = bag_tools.rig()
 ALWAYS = {
@@ -54,13 +55,13 @@ def run(folder: Path, frames: int, *formats: str) -> ResultFolder:
     """Write frames and the summary as a command does."""
     results = ResultFolder(folder, {}, formats=formats)
     for index in range(frames):
-        results.add(index, RIG, reconstruction(), 0.5)
+        add_frame(results, index, RIG, reconstruction())
     results.write_summary(finished=True)
     return results
 
 
 def files_of(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()} - {'summary.json'}
+    return {path.name for path in folder.iterdir()} - {'summary.json', 'frames.jsonl'}
 
 
 def expected(frames: int, endings: set[str]) -> set[str]:
@@ -71,7 +72,7 @@ def test_rows_that_too_few_points_show_are_no_number_of_the_summary(tmp_path: Pa
     results = ResultFolder(tmp_path, {})
     findings = (Findings(RowOffset(points=3)), Findings(RowOffset(0.25, 0.3, 90)))
     for found in findings:
-        results.add(0, RIG, dataclasses.replace(reconstruction(), findings=found), 0.5)
+        add_frame(results, 0, RIG, dataclasses.replace(reconstruction(), findings=found))
     results.write_summary(finished=True)
     frames = json.loads((tmp_path / 'summary.json').read_text())['frames']
     assert [frame.get('row_offset_px') for frame in frames] == [None, 0.25]
@@ -91,7 +92,7 @@ def test_the_cloud_is_thinned_and_says_its_frame(tmp_path: Path) -> None:
     whole = reconstruction()
     wall = dataclasses.replace(whole, thinning=CloudConfig(decimation=2))
     results = ResultFolder(tmp_path, {})
-    results.add(0, StereoRig(left, right), wall, 0.5)
+    add_frame(results, 0, StereoRig(left, right), wall)
     results.write_summary(finished=True)
     summary = json.loads((tmp_path / 'summary.json').read_text())
     text = "turned by 0.650 deg against the camera's (170 mm at 15 m); x_rectified = R x_camera"
@@ -140,7 +141,7 @@ def test_a_frame_that_cannot_be_written_leaves_no_file_and_no_entry(
     monkeypatch.setitem(FRAME_FORMATS, 'failing', FrameFormat('_x.txt', (), fail))
     results = ResultFolder(tmp_path, {})
     with pytest.raises(FileError, match=r'000000_x\.txt cannot be written'):
-        results.add(0, RIG, reconstruction(20.0), 0.5)
+        add_frame(results, 0, RIG, reconstruction(20.0))
     assert results.frames == []
     results.close()
     assert files_of(tmp_path) == expected(1, ALWAYS)
@@ -166,12 +167,12 @@ def test_files_of_others_are_kept(tmp_path: Path) -> None:
 
 def test_the_summary_describes_the_frames(tmp_path: Path) -> None:
     results = ResultFolder(tmp_path, {'source': {'bag': 'b'}, 'preset': 'fast'})
-    results.add(7, RIG, reconstruction(), 0.5)
+    add_frame(results, 7, RIG, reconstruction())
     camera = RIG.right
     P = camera.P * np.array([1, 1, 1, 0.5])
     other = StereoRig(RIG.left, Camera(*camera.size, camera.K, camera.D, camera.R, P))
-    results.add(8, other, reconstruction(), 1.5)
-    results.leave_out(9, ValueError('too dark'))
+    add_frame(results, 8, other, reconstruction(), 1.5)
+    results.leave_out(9, 'too dark')
     results.write_summary(finished=False, unpaired=3)
     summary = json.loads((tmp_path / 'summary.json').read_text())
     first, second = summary['frames']

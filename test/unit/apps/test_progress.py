@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from binocular_recon.apps.progress import ProgressBar
+from binocular_recon.apps.progress import ProgressBar, duration
 
 
 class Terminal(io.StringIO):
@@ -39,9 +39,9 @@ def test_without_a_terminal_a_line_comes_every_ten_seconds(
             now_s = float(done)
             bar.show(done)
     assert stream.getvalue().splitlines() == [
-        '10 of 40 frames, 30 s left',
-        '20 of 40 frames, 20 s left',
-        '30 of 40 frames, 10 s left',
+        '10 of 40 frames, 1.0 per second, 30 s left',
+        '20 of 40 frames, 1.0 per second, 20 s left',
+        '30 of 40 frames, 1.0 per second, 10 s left',
     ]
 
 
@@ -57,4 +57,20 @@ def test_what_is_done_once_does_not_lengthen_the_time_left(
         for done in range(1, 12):
             now_s += 1.0
             bar.show(done)
-    assert stream.getvalue() == '10 of 31 frames, 21 s left\n'
+    assert stream.getvalue() == '10 of 31 frames, 1.0 per second, 21 s left\n'
+
+
+def test_rate_and_time_left_are_those_that_people_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = [duration(seconds) for seconds in (0.4, 99, 100, 5000, 36_100)]
+    assert texts == ['0 s', '99 s', '2 min', '83 min', '10 h 02 min']
+    stream, now_s = io.StringIO(), 0.0
+    monkeypatch.setattr(sys, 'stderr', stream)
+    monkeypatch.setattr('time.monotonic', lambda: now_s)
+    with ProgressBar(1000, 'frames') as bar:
+        for second in (12.5, 15.0, 25.0):  # while one frame takes long
+            now_s = second
+            bar.show(1)
+    assert stream.getvalue().splitlines() == [
+        '1 of 1000 frames, 12 s each, 3 h 28 min left',
+        '1 of 1000 frames, 25 s each, 6 h 56 min left',
+    ]

@@ -246,7 +246,7 @@ def test_depth_images_and_their_side_files(tmp_path: Path) -> None:
     assert read.dtype == np.float32
     np.testing.assert_array_equal(read, depth_m)
     side = json.loads((tmp_path / 'a.json').read_text())
-    assert (side['unit'], side['invalid'], side['image']) == ('m', 'nan', 'a.tiff')
+    assert (side['unit'], side['invalid']) == ('m', 'nan')
     assert [side[name] for name in ('fx', 'fy', 'cx', 'cy')] == [500, 510, 30, 24]
     write_depth_png(tmp_path / 'a.png', depth_m, geometry)
     read = cv2.imread(str(tmp_path / 'a.png'), cv2.IMREAD_UNCHANGED)

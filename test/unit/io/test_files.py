@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from binocular_recon.errors import FileError
+from binocular_recon.io.calibration_yaml import locked
 from binocular_recon.io.files import (
     ClaimedFolder,
     complete_file,
     complete_files,
-    locked,
     make_folder,
     remove_abandoned,
     write_json,

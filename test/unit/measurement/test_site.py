@@ -31,6 +31,7 @@ from binocular_recon.stereo.matching import Match
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
+from test.frame_results import add_frame
 from test.unit.measurement.measured_site import MeasuredSite
 
 TURN = cv2.Rodrigues(np.array([[-1.6], [0.2], [0.1]]))[0]
@@ -234,7 +235,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
         thinning=frame.limits,
     )
     results = ResultFolder(folder, {'source': {'alpha': -1.0, 'rectified': False}})
-    results.add(0, site.calibrated, found, 0.1)
+    add_frame(results, 0, site.calibrated, found)
     results.write_summary(finished=True)
     results.close()
     return folder

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process that computes frames for another one, its parent, until that ends."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from multiprocessing.connection import Connection, wait
+
+from binocular_recon._jit import limit_threads
+from binocular_recon.apps.batch.frame_task import compute_frame
+from binocular_recon.errors import BinocularReconError
+
+READY = 'ready'
+
+
+def serve(connection: Connection, threads: int) -> None:
+    """Compute the frames that come through a connection, with so many threads.
+
+    Ctrl-C goes to all processes of a terminal: the parent decides what it means.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    limit_threads(threads)
+    connection.send(READY)
+    while True:
+        try:
+            task, folder = connection.recv()
+        except EOFError:
+            return
+        try:
+            connection.send(compute_frame(task, folder))
+        except BinocularReconError as error:
+            connection.send(error)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
