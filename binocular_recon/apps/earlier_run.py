@@ -18,7 +18,7 @@ from binocular_recon.errors import FileError
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
 # Where a recording lies does not matter.
-_ANYWHERE = {'source.bag', 'source.left', 'source.right', 'source.video'}
+_ANYWHERE = {f'source.{name}' for name in ('bag', 'left', 'right', 'video', 'calibrated_in')}
 # Of each end of a file of a recording so much is compared, bytes.
 _END = 1 << 16
 
