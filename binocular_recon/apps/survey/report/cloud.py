@@ -106,7 +106,7 @@ def _viewed(
         np.concatenate(sigma).astype(np.float64),
         (np.concatenate(validity) & Validity.MEASURED) > 0,
         names,
-        'sigma of the third axis' if placement is not None else sigma_name,
+        f'sigma {names[2]}' if placement is not None else sigma_name,
         display,
         eye,
         float(pixel_rad * np.sqrt(max(thinned, 1.0))),

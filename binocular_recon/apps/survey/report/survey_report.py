@@ -14,7 +14,7 @@ from binocular_recon.apps.survey.report.frames import frame_maps
 from binocular_recon.apps.survey.report.sources import ReportDetails, ReportSources, text
 from binocular_recon.drawing.cloud_view import cloud_script
 from binocular_recon.drawing.page import cards, embedded_image, page
-from binocular_recon.errors import ConfigError, FileError, shortened
+from binocular_recon.errors import BinocularReconError, ConfigError, FileError, shortened
 from binocular_recon.io.files import complete_file
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.machine import now_text
@@ -24,6 +24,8 @@ REPORT_FILE = 'report.html'
 _FOOTER = 'Uncertainties are one standard deviation.'
 _LOGO_FORMATS = {'.png': 'png', '.jpg': 'jpeg', '.jpeg': 'jpeg'}
 _LARGEST_LOGO = 1_000_000
+# What stands around the points and the image of the cloud takes less, bytes.
+_AROUND_CLOUD = 4000
 
 
 def write_report(folder: Path, details: ReportDetails, output: Path | None = None) -> Path:
@@ -74,23 +76,27 @@ def render(folder: Path, details: ReportDetails) -> str:
             recording.signatures(),
         ]
         glance = _glance(sources)
-        room = details.most_bytes - sum(len(part.encode()) for part in [*parts, glance, logo])
-        view = cloud(sources, *frames[0], room - len(page('', []).encode()) - len(cloud_script()))
+
+        def whole(view: str) -> str:
+            sections = [glance, _notes(sources), parts[0], view, *parts[1:]]
+            return page(
+                details.site or 'Survey report',
+                sections,
+                _FOOTER,
+                subtitle=_subtitle(sources),
+                logo=logo,
+                script=cloud_script(),
+            )
+
+        room = details.most_bytes - len(whole('').encode()) - _AROUND_CLOUD
+        return whole(cloud(sources, *frames[0], room))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, (ConfigError, FileError)):
+        if isinstance(error, BinocularReconError):
             raise
         raise FileError(
             f'a file in {folder} is not as our commands write it ({shortened(error)}); make it'
             ' again'
         ) from error
-    return page(
-        details.site or 'Survey report',
-        [glance, _notes(sources), parts[0], view, *parts[1:]],
-        _FOOTER,
-        subtitle=_subtitle(sources),
-        logo=logo,
-        script=cloud_script(),
-    )
 
 
 def _subtitle(sources: ReportSources) -> str:
