@@ -220,10 +220,8 @@ def compare(site: SimulatedSite, folder: Path) -> list[Compared]:
         compared.append(Compared(one['name'], true[one['name']], main['value'], main['sigma']))
     for point in read_json(folder / TIE_FILE, 'georeference again')['points']:
         if point['check']:
-            for axis, off, sigma in zip(
-                'ENH', point['error_m'], point['error_sigma_m'], strict=True
-            ):
-                compared.append(
-                    Compared(f'{axis} of check point {point["name"]}', 0.0, off, sigma)
-                )
+            values = zip(point['place'], point['error_m'], point['error_sigma_m'], strict=True)
+            for axis, (true_m, off, sigma) in zip('ENH', values, strict=True):
+                name = f'{axis} of check point {point["name"]}'
+                compared.append(Compared(name, true_m, true_m + off, sigma))
     return compared

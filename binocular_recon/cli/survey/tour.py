@@ -67,10 +67,10 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
          f'{PROGRAM} demo --survey', '--date', now_text()[:10])  # fmt: skip
     print()
     compared = compare(site, out)
-    print(f'{"":>26} {"true m":>9} {"measured m":>11} {"sigma m":>8} {"off / sigma":>12}')
+    print(f'{"":>26} {"true m":>12} {"measured m":>12} {"sigma m":>8} {"off / sigma":>12}')
     for one in compared:
         print(
-            f'{one.name:>26} {fixed(one.true, 3):>9} {fixed(one.measured, 3):>11}'
+            f'{one.name:>26} {fixed(one.true, 3):>12} {fixed(one.measured, 3):>12}'
             f' {fixed(one.sigma, 3):>8} {one.off_sigmas:>+12.1f}'
         )
     worst = max(compared, key=lambda one: abs(one.off_sigmas))

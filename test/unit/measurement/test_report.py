@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.apps.survey.report.images import cut_out
+from binocular_recon.apps.survey.report.sources import ReportDetails, ReportSources
 from binocular_recon.camera import FloatArray
 from binocular_recon.cli.main import main
 from binocular_recon.images import ByteImage
@@ -244,14 +246,16 @@ def test_what_is_not_there_is_said(bare: Path) -> None:
     assert 'Nothing is missing' not in found.text
 
 
-def test_a_calibration_that_was_replaced_is_not_stated(surveyed: Path, tmp_path: Path) -> None:
-    folder = tmp_path / 'out'
-    shutil.copytree(surveyed, folder)
-    summary = json.loads((folder / 'summary.json').read_text())
+def test_a_calibration_that_was_replaced_is_not_stated(surveyed: Path) -> None:
+    folder = MeasuredFolder(surveyed)
     rig = surveyed.parent / 'rig'
-    summary['source'] |= {'calibration': {'left.yaml': 'other'}, 'calibrated_in': str(rig)}
-    (folder / 'summary.json').write_text(json.dumps(summary))
-    assert 'is not the one that was used' in report(folder).text
+    source = {'calibration': {'left.yaml': 'other'}, 'calibrated_in': str(rig)}
+    folder.summary['source'] = source
+    found = ReportSources(folder, ReportDetails()).calibration
+    assert isinstance(found, str) and 'is not the one that was used' in found
+    source['calibrated_in'] = str(rig / 'gone')
+    found = ReportSources(folder, ReportDetails()).calibration
+    assert isinstance(found, str) and 'there is no calibration.json' in found
 
 
 @pytest.mark.parametrize(
