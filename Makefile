@@ -127,8 +127,9 @@ site: setup
 	@$(INSTALL) .venv docs
 	.venv/bin/sphinx-build -q -W --keep-going -d docs/_build/doctrees docs docs/_build/html
 
-images: demo ## the README's images from the results of the demo
-	@$(RUN) docs/make_images.py out/demo
+images: demo ## the images of README and docs from the results of the demos
+	@$(RUN) -m binocular_recon demo --survey --output out/survey
+	@$(RUN) docs/make_images.py out/demo out/survey
 
 maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
 	$(RUN) tools/maintainers.py

@@ -27,7 +27,8 @@ def test_a_simulated_survey_agrees_with_the_truth(
     printed = capsys.readouterr().out
     commands = [line.split()[2] for line in printed.splitlines() if line.startswith('$ ')]
     assert commands == [
-        'calibrate', 'calibrate', 'reconstruct', 'georeference', 'measure', 'export', 'report',
+        'rods-plan', 'calibrate', 'calibrate', 'reconstruct', 'georeference', 'measure', 'export',
+        'report',
     ]  # fmt: skip
     assert 'LAZ is left out: LAZ files need the package lazrs' in printed
     cloud = tmp_path / 'cloud'

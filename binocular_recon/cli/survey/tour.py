@@ -50,10 +50,11 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
     print(f'A simulated site with {boards} boards of rods; files in {output}', flush=True)
     site = simulate_survey(output, seed=SEED, boards=boards, size=size, report=note)
     rods, rig, out = output / 'rods.yaml', output / 'rig', output / 'cloud'
+    _run('rods-plan', rods, '--output', output / 'rods.svg')
     _run('calibrate', output / 'captures', '--rods', rods, '--output', rig)
     _run('calibrate', output / 'check', '--rods', rods, '--check', rig, '--output', out)
     _run('reconstruct', output / 'left', output / 'right', '--calibration', rig,
-         '--format', 'right', *options, '--output', out)  # fmt: skip
+         '--format', 'right,drawing', *options, '--output', out)  # fmt: skip
     scale, system = _map()
     write_field_book(site, read_rig(rig), seed=SEED, scale=scale)
     picks = output / 'picks.yaml'
