@@ -94,7 +94,7 @@ colcon: setup ## build, install and test as a ROS workspace does
 	@$(INSTALL) .venv-colcon colcon
 	.ci/colcon
 
-clients: setup ## real programs open our clouds: CloudCompare under Xvfb
+clients: setup ## real programs open our clouds and reports: CloudCompare under Xvfb, Chromium
 	@command -v CloudCompare >/dev/null && command -v xvfb-run >/dev/null || \
 	    { echo 'needs CloudCompare and Xvfb: apt-get install cloudcompare xvfb xauth'; exit 1; }
 	$(PYTEST) -q test/clients
