@@ -84,4 +84,4 @@ def test_it_is_printed_on_a4(report: Path) -> None:
     width, height = map(
         float, re.findall(rb'/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]', pdf.read_bytes())[0]
     )
-    assert (width, height) == (pytest.approx(595, abs=2), pytest.approx(842, abs=2))
+    assert [width, height] == pytest.approx([595, 842], abs=2)
