@@ -47,7 +47,8 @@ class MeasuredFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         summary = read_json(folder / 'summary.json', _REMEDY)
-        if not isinstance(summary, dict) or not isinstance(summary.get('frames'), list):
+        frames = summary.get('frames') if isinstance(summary, dict) else None
+        if not isinstance(frames, list) or not all(isinstance(one, dict) for one in frames):
             raise FileError(f'{folder / "summary.json"} is not the summary of frames; {_REMEDY}')
         self.summary: dict[str, Any] = summary
         self._rigs: list[tuple[Any, StereoRig]] = []

@@ -261,11 +261,13 @@ def test_a_calibration_that_was_replaced_is_not_stated(surveyed: Path) -> None:
 @pytest.mark.parametrize(
     ('name', 'text', 'message'),
     [
-        ('measurements.json', '{"measurements": 3}', 'not as our commands write it'),
+        ('measurements.json', '{"measurements": 3}', 'measurements.json in '),
         ('measurements.json', '[]', 'is not what our commands write; measure again'),
         (TIE_FILE, '{', 'is not valid JSON'),
         ('check.json', '{"date": 1}', 'not as our commands write it'),
         ('summary.json', '{}', 'is not the summary of frames'),
+        ('summary.json', '{"frames": [3]}', 'is not the summary of frames'),
+        (TIE_FILE, '{"axes": "ENH", "points": 1}', f'{TIE_FILE} in '),
         ('000000.ply', 'ply', 'is not a cloud of this program'),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 from binocular_recon.camera import FloatArray
 from binocular_recon.drawing.page import embedded_image, figure
 from binocular_recon.images import ByteImage
+from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
 # Width of an image over the whole page, and of one of two beside each other, px.
 _WIDE_PX, _HALF_PX = 1500, 960
@@ -48,6 +49,8 @@ def cut_out(image: ByteImage, places_px: FloatArray) -> tuple[ByteImage, FloatAr
 
     """
     width, height = _PART_PX
+    # an image is smaller
+    places_px = places_px.clip(-LARGEST_SIDE_PX, LARGEST_SIDE_PX)
     low, high = places_px.min(axis=0), places_px.max(axis=0)
     wide = max((high - low) * [1, width / height]) * _PART_MARGIN
     scale = width / max(wide, _LEAST_PART_PX)

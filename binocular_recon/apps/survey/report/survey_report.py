@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,7 +21,12 @@ from binocular_recon.errors import BinocularReconError, ConfigError, FileError, 
 from binocular_recon.io.files import complete_file
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.machine import now_text
+from binocular_recon.measurement.check_distance import CHECK_FILE
+from binocular_recon.measurement.results import MEASUREMENTS_FILE
+from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.number_text import day_text, fixed
+
+_Made = TypeVar('_Made')
 
 REPORT_FILE = 'report.html'
 _FOOTER = 'Uncertainties are one standard deviation.'
@@ -61,40 +69,51 @@ def render(folder: Path, details: ReportDetails) -> str:
     """Return the report as an HTML page; raises as `write_report`."""
     sources = ReportSources(MeasuredFolder(folder), details)
     logo = _logo(details.logo)
-    frames = [(number, sources.folder.frame(number)) for number in details.frames]
+    numbers = details.frames
+    frames = [_part(folder, 'summary.json', partial(sources.folder.frame, n)) for n in numbers]
+
+    def part(name: str, make: Callable[[ReportSources], str]) -> str:
+        return _part(folder, name, partial(make, sources))
+
+    # first, since others state its axes
+    tied = part(TIE_FILE, findings.control_points)
+    # in the order of the page; the cloud gets the room that is left
+    first = part('summary.json', recording.facts)
+    rest = [
+        part(MEASUREMENTS_FILE, findings.measurements),
+        tied,
+        part(f'calibration.json or {CHECK_FILE}', rig.calibration),
+        *(frame_maps(sources, *one) for one in zip(numbers, frames, strict=True)),
+        part('summary.json', recording.frame_table),
+        part('summary.json', recording.left_out),
+        part('summary.json', recording.options),
+        recording.signatures(),
+    ]
+    glance = part('summary.json', _glance)
+
+    def whole(view: str) -> str:
+        return page(
+            details.site or 'Survey report',
+            [glance, _notes(sources), first, view, *rest],
+            _FOOTER,
+            subtitle=_subtitle(sources),
+            logo=logo,
+            script=cloud_script(),
+        )
+
+    room = details.most_bytes - len(whole('').encode()) - _AROUND_CLOUD
+    return whole(cloud(sources, numbers[0], frames[0], room))
+
+
+def _part(folder: Path, name: str, make: Callable[[], _Made]) -> _Made:
+    """Return what is made from a file; raises a FileError if it is not as it should be."""
     try:
-        # in the order of the page, but the cloud, which gets the room that is left
-        parts = [
-            recording.facts(sources),
-            findings.measurements(sources),
-            findings.control_points(sources),
-            rig.calibration(sources),
-            *(frame_maps(sources, number, frame) for number, frame in frames),
-            recording.frame_table(sources),
-            recording.left_out(sources),
-            recording.options(sources),
-            recording.signatures(),
-        ]
-        glance = _glance(sources)
-
-        def whole(view: str) -> str:
-            sections = [glance, _notes(sources), parts[0], view, *parts[1:]]
-            return page(
-                details.site or 'Survey report',
-                sections,
-                _FOOTER,
-                subtitle=_subtitle(sources),
-                logo=logo,
-                script=cloud_script(),
-            )
-
-        room = details.most_bytes - len(whole('').encode()) - _AROUND_CLOUD
-        return whole(cloud(sources, *frames[0], room))
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        return make()
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         if isinstance(error, BinocularReconError):
             raise
         raise FileError(
-            f'a file in {folder} is not as our commands write it ({shortened(error)}); make it'
+            f'{name} in {folder} is not as our commands write it ({shortened(error)}); make it'
             ' again'
         ) from error
 
