@@ -108,7 +108,7 @@ def cloud_view(cloud: ViewedCloud, still_jpeg: bytes, caption: str) -> str:
     )
     buttons = {
         'start': 'start', 'camera': 'camera', 'top': 'from above', 'side': 'from the side',
-        'smaller': '- points', 'larger': '+ points',
+        'smaller': 'smaller points', 'larger': 'larger points',
     }  # fmt: skip
     controls = ''.join(f'<button value="{key}">{text}</button>' for key, text in buttons.items())
     # in JSON < stands in strings only

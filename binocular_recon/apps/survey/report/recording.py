@@ -75,7 +75,9 @@ def left_out(sources: ReportSources) -> str:
     if not summary.get('finished'):
         notes.append('The run was interrupted: more image pairs may exist.')
     items = ''.join(f'<li>{note}</li>' for note in notes)
-    count = f'{len(pairs)} image pairs were' if len(pairs) != 1 else '1 image pair was'
+    count = {0: 'No image pair was', 1: '1 image pair was'}.get(
+        len(pairs), f'{len(pairs)} image pairs were'
+    )
     return section(
         'What was left out, and why',
         f'{count} left out. Pixels without a match are filled from around them or have no point;'
