@@ -67,3 +67,8 @@ def test_a_value_that_contradicts_its_sigma_ends_the_tour_with_an_error(
     assert 'a bad length is 2.500 m, +10.0 sigma from the truth' in shown.err
     assert 'the reference system is left out: reference systems (--epsg) need' in shown.out
     assert '--epsg' not in shown.out.partition('$ binocular-recon georeference')[2]
+
+
+def test_options_of_the_survey_are_refused_without_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['demo', '--boards', '4']) == 2
+    assert '--boards and --size are options of --survey' in capsys.readouterr().err

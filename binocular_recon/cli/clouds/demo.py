@@ -15,7 +15,11 @@ from binocular_recon.cli.options import (
     option_flags,
     positive,
 )
+from binocular_recon.errors import ConfigError
 from binocular_recon.io.shared_files import shared_file
+
+# Boards that `demo --survey` calibrates with.
+_BOARDS = 11
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,19 +32,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ' the truth',
     )
     parser.add_argument(
-        '--boards',
-        type=positive(int),
-        default=11,
-        metavar='N',
-        help='boards that --survey calibrates with (%(default)s)',
-    )
+        '--boards', type=positive(int), metavar='N',
+        help=f'boards that --survey calibrates with ({_BOARDS})',
+    )  # fmt: skip
     parser.add_argument(
-        '--size',
-        type=positive(float),
-        default=1.0,
-        metavar='SHARE',
-        help='size of the images of --survey relative to 1920x1200 (%(default)s)',
-    )
+        '--size', type=positive(float), metavar='SHARE',
+        help='size of the images of --survey relative to 1920x1200 (1)',
+    )  # fmt: skip
     add_chain_options(parser)
 
 
@@ -58,11 +56,13 @@ def run(args: argparse.Namespace) -> None:
 
         survey_tour(
             args.output or Path('out/survey'),
-            boards=args.boards,
-            size=args.size,
+            boards=args.boards or _BOARDS,
+            size=args.size or 1.0,
             options=option_flags(args),
         )
         return
+    if args.boards or args.size:
+        raise ConfigError('--boards and --size are options of --survey; give that too')
     from binocular_recon.apps.bag_input import BagInput
     from binocular_recon.apps.reconstruction import reconstruct_pairs
 

@@ -70,8 +70,8 @@ def left_out(sources: ReportSources) -> str:
     ]  # fmt: skip
     notes = [text(one) for one in summary.get('damage') or []]
     if unpaired := summary.get('unpaired'):
-        notes.append(f'{unpaired} of {summary["images_read"]} images have no partner.')
-    notes += [f'<b>Frame {index}:</b> {text(words)}' for index, words in _warnings(summary)]
+        notes.append(text(f'{unpaired} of {summary["images_read"]} images have no partner.'))
+    notes += [f'<b>Frame {text(index)}:</b> {text(words)}' for index, words in _warnings(summary)]
     if not summary.get('finished'):
         notes.append('The run was interrupted: more image pairs may exist.')
     items = ''.join(f'<li>{note}</li>' for note in notes)
@@ -103,12 +103,12 @@ def frame_table(sources: ReportSources) -> str:
         depth = frame['depth_m']
         rows.append(
             (
-                f'{frame["index"]}',
+                text(frame['index']),
                 text(', '.join(dict.fromkeys(frame.get('images') or ['-']))),
                 f'{100 * frame["matched"]:.1f} %',
                 f'{100 * frame["density"]:.1f} %',
                 *(fixed(depth[name], 2) for name in ('min', 'median', 'max')),
-                f'{frame["points"]}',
+                text(frame['points']),
                 fixed(frame.get('row_offset_px'), 3),
             )
         )
