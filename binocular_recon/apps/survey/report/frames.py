@@ -99,9 +99,10 @@ def _shares(frame: MeasuredFrame, known: Mask, has_point: Mask) -> str:
     def share(mask: npt.NDArray[Any]) -> str:
         return f'{100 * np.count_nonzero(mask) / count:.2f} %'
 
+    limit = frame.limits.max_sigma
     no_point = (
-        f'disparity, but no point: sigma above {frame.limits.max_sigma} of the depth, outside of'
-        ' the depth limits, or extrapolated'
+        f'disparity, but no point: sigma above {limit}{" of the depth" if "%" in limit else " m"},'
+        ' outside of the depth limits, or extrapolated'
     )
     rows = [
         ('measured', share(bits & Validity.MEASURED)),

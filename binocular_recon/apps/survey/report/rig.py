@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import datetime, timezone
+from datetime import date, datetime
 from typing import Any
 
 from binocular_recon.apps.survey.report.sources import ReportSources, text
 from binocular_recon.drawing.page import section, table
 from binocular_recon.number_text import day_text, fixed, significant
-
-_DAY_S = 86400.0
 
 
 def calibration(sources: ReportSources) -> str:
@@ -62,25 +60,17 @@ def _age(sources: ReportSources, content: Mapping[str, Any]) -> str:
     if not stated:
         return f'Date: {sources.lacks("age of the calibration", "calibration.json has no date")}.'
     words = f'Calibrated on {text(day_text(stated))}'
-    try:
-        made = datetime.fromisoformat(stated)
-        if sources.details.date:
-            taken = datetime.fromisoformat(sources.details.date)
-        elif sources.recorded:
-            taken = sources.recorded[0]
-        else:
-            return f'{words}; its age is not known, since the images have no time.'
-        if made.tzinfo is None:
-            made = made.replace(tzinfo=timezone.utc)
-        if taken.tzinfo is None:
-            taken = taken.replace(tzinfo=timezone.utc)
-    except (TypeError, ValueError):
-        return f'{words}.'
-    days = round((taken - made).total_seconds() / _DAY_S)
-    when = (
-        'the same day as' if days == 0 else f'{abs(days)} days {"before" if days > 0 else "after"}'
-    )
-    return f'{words}, {when} the survey.'
+    if sources.details.date:
+        taken = date.fromisoformat(sources.details.date)
+    elif sources.recorded:
+        taken = sources.recorded[0].date()
+    else:
+        return f'{words}; its age is not known, since the images have no time.'
+    days = (taken - datetime.fromisoformat(stated).date()).days
+    if days == 0:
+        return f'{words}, the same day as the survey.'
+    count = f'{abs(days)} day{"" if abs(days) == 1 else "s"}'
+    return f'{words}, {count} {"before" if days > 0 else "after"} the survey.'
 
 
 def _checks(sources: ReportSources) -> str:

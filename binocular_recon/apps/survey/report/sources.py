@@ -32,7 +32,8 @@ class ReportDetails:
     Attributes
     ----------
     site, client, author, date : str
-        Name of the site, who ordered the survey, who made it, and when; empty if not given.
+        Name of the site, who ordered the survey, who made it, and when (YYYY-MM-DD); empty if not
+        given.
     logo : Path, optional
         PNG or JPEG beside the title.
     calibration : Path, optional
