@@ -105,7 +105,7 @@ colcon-environment:
 colcon: setup colcon-environment ## build, install and test as a ROS workspace does
 	.ci/colcon
 
-clients: setup ## real programs open our clouds: CloudCompare under Xvfb
+clients: setup ## real programs open our clouds and reports: CloudCompare under Xvfb, Chromium
 	@command -v CloudCompare >/dev/null && command -v xvfb-run >/dev/null || \
 	    { echo 'needs CloudCompare and Xvfb: apt-get install cloudcompare xvfb xauth'; exit 1; }
 	$(PYTEST) -q test/clients
@@ -138,8 +138,9 @@ site: setup
 	@$(INSTALL) .venv docs
 	.venv/bin/sphinx-build -q -W --keep-going -d docs/_build/doctrees docs docs/_build/html
 
-images: demo ## the README's images from the results of the demo
-	@$(RUN) docs/make_images.py out/demo
+images: demo ## the images of README and docs from the results of the demos
+	@$(RUN) -m binocular_recon demo --survey --output out/survey
+	@$(RUN) docs/make_images.py out/demo out/survey
 
 maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
 	$(RUN) tools/maintainers.py

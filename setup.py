@@ -73,7 +73,7 @@ def arguments() -> dict[str, Any]:
             'Typing :: Typed',
         ],
         'packages': find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-        'package_data': {PACKAGE: ['py.typed']},
+        'package_data': {PACKAGE: ['py.typed', 'drawing/assets/*']},
         'data_files': [
             ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
             (f'share/{PACKAGE}', ['package.xml']),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import platform
+from datetime import datetime, timezone
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -41,6 +42,11 @@ def peak_bytes() -> int | None:
         return None
     peaks = (line.split()[1] for line in status.splitlines() if line.startswith('VmHWM:'))
     return next((1024 * int(peak) for peak in peaks), None)
+
+
+def now_text() -> str:
+    """Return the time now, UTC, to the second, as files state it (ISO 8601)."""
+    return datetime.now(timezone.utc).isoformat(timespec='seconds')
 
 
 def machine_facts() -> dict[str, Any]:

@@ -1,11 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as people read them in messages, reports and tables: never with an exponent."""
+"""Numbers and days as people read them in messages, reports and tables."""
 
 from __future__ import annotations
 
 import math
+from datetime import datetime
 
 import numpy as np
+
+# Not from strftime, which takes the language of the machine.
+_MONTHS = (
+    'January', 'February', 'March', 'April', 'May', 'June', 'July', 'August', 'September',
+    'October', 'November', 'December',
+)  # fmt: skip
+
+
+def day_text(date: str) -> str:
+    """Return the day of a date (ISO 8601): ``28 November 2026``; another text as it is."""
+    try:
+        day = datetime.fromisoformat(date)
+    except ValueError:
+        return date
+    return f'{day.day} {_MONTHS[day.month - 1]} {day.year}'
 
 
 def fixed(value: float | None, decimals: int = 1) -> str:

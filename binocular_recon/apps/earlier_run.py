@@ -21,7 +21,7 @@ MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
 # What else a run goes on from.
 _STATE = ('left_out', 'finished', 'unpaired', 'images_read', 'damage', *RIG_ENTRY)
 # Where a recording lies does not matter.
-_ANYWHERE = {'source.bag', 'source.left', 'source.right', 'source.video'}
+_ANYWHERE = {f'source.{name}' for name in ('bag', 'left', 'right', 'video', 'calibrated_in')}
 # Of each end of a file of a recording so much is compared, bytes.
 _END = 1 << 16
 

@@ -112,6 +112,11 @@ class FrameResult:
         """The rectified left image, (H, W, 3) uint8."""
         return to_bgr8(self.reconstruction.left, self.reconstruction.levels)
 
+    @property
+    def right_bgr(self) -> ByteImage:
+        """The rectified right image, (H, W, 3) uint8, as bright as the left one's levels say."""
+        return to_bgr8(self.reconstruction.right, self.reconstruction.levels)
+
 
 class FrameFormat(NamedTuple):
     """One file of each frame.
@@ -168,6 +173,7 @@ FRAME_FORMATS = {
     'disparity': FrameFormat('_disparity.pfm', ('disparity_px',), write_pfm),
     'sigma': FrameFormat('_sigma.pfm', ('sigma_px',), write_pfm),
     'left': FrameFormat('_left.png', ('left_bgr',), write_image_file),
+    'right': FrameFormat('_right.png', ('right_bgr',), write_image_file, on_request=True),
     'heat_map': FrameFormat('_disparity.png', ('disparity_px',), _write_heat_map),
     'validity': FrameFormat('_validity.png', ('validity',), write_image_file),
     'ply': FrameFormat('.ply', ('table',), write_ply_table),

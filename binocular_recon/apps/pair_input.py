@@ -130,4 +130,5 @@ class PairInput:
         facts['far_m'] = self.far_m if math.isfinite(self.far_m) else None
         if self.calibration is not None:
             facts['calibration'] = fingerprint(self.calibration)
+            facts['calibrated_in'] = str(self.calibration)
         return facts

@@ -44,6 +44,10 @@ COMMANDS = {
         'survey',
         'tie a reconstruction to control points of the site, or level it',
     ),
+    'report': (
+        'survey',
+        'write a survey as one HTML file for a client: print-ready, the cloud to turn inside',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'filter': (
         'clouds',
@@ -146,6 +150,12 @@ def _say_cache_problem() -> None:
 def _command(argv: Sequence[str]) -> str:
     """Return the command that is named, '' if none is."""
     return next((word for word in argv if not word.startswith('-')), '')
+
+
+def run_command(argv: Sequence[str]) -> None:
+    """Run a command within another; its errors are raised."""
+    args = _parser(argv).parse_args(argv)
+    command_module(args.command).run(args)
 
 
 def command_module(name: str) -> ModuleType:

@@ -131,6 +131,18 @@ def given_options(args: argparse.Namespace) -> dict[str, OptionValue]:
     return {spec.name: getattr(args, spec.name) for spec in _options() if spec.name in args}
 
 
+def option_flags(args: argparse.Namespace) -> list[str]:
+    """Return the preset and the options that were given, as arguments of another command."""
+    flags = ['--preset', args.preset]
+    for name, value in given_options(args).items():
+        flag = name.replace('_', '-')
+        if isinstance(value, bool):
+            flags.append(f'--{flag}' if value else f'--no-{flag}')
+        else:
+            flags.append(f'--{flag}={value}')
+    return flags
+
+
 def note(text: str) -> None:
     """Print something that is not the result, on stderr."""
     print(plain_text(text), file=sys.stderr)

@@ -47,7 +47,7 @@ def heat_map(
     """
     valid = np.isfinite(disparity_px)
     if limits_px is None:
-        limits_px = _own_limits(disparity_px[valid])
+        limits_px = own_limits(disparity_px)
     low, high = limits_px
     span = high - low if abs(high - low) > _LEAST_SPAN else _LEAST_SPAN
     share = np.clip((disparity_px - low) / span, 0, 1)
@@ -86,7 +86,7 @@ def heat_map_with_scale(
         BGR.
 
     """
-    low, high = _own_limits(disparity_px[np.isfinite(disparity_px)])
+    low, high = own_limits(disparity_px)
     height = len(disparity_px)
     limits = (high, low) if near_is_low else (low, high)
     heat = heat_map(disparity_px, limits, colours)
@@ -107,8 +107,10 @@ def heat_map_with_scale(
     return np.hstack([heat, panel])
 
 
-def _own_limits(values: npt.NDArray[np.float32]) -> tuple[float, float]:
-    if values.size == 0:
+def own_limits(values: npt.NDArray[np.float32]) -> tuple[float, float]:
+    """Return the range of a map's finite values without one per cent at each end."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
         return 0.0, 1.0
-    low, high = np.percentile(values, [_CLIPPED_PERCENT, 100 - _CLIPPED_PERCENT])
+    low, high = np.percentile(finite, [_CLIPPED_PERCENT, 100 - _CLIPPED_PERCENT])
     return float(low), float(high)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,6 +34,7 @@ from binocular_recon.stereo.rectification import rectified_points
 
 # One standard deviation of marks in raw images on each axis, px: of detected ones, and of picks.
 DETECTED_SIGMA_PX, PICKED_SIGMA_PX = 0.12, 0.3
+CHECK_FILE = 'check.json'
 # How exactly known lengths are known: a share of them (tapes), and m (edges).
 KNOWN_SHARE, KNOWN_SIGMA_M = 0.0005, 0.0005
 
@@ -64,6 +66,18 @@ class CheckDistance:
     def passed(self) -> bool:
         """Whether they agree within 3 standard deviations."""
         return abs(self.off_sigmas) <= MOST_SIGMAS
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the comparison for ``check.json``."""
+        return {
+            'name': self.name,
+            'measured_m': self.measured.length_m,
+            'sigma_m': self.measured.sigma_m,
+            'known_m': self.known_m,
+            'depth_m': self.depth_m,
+            'off_sigmas': self.off_sigmas,
+            'passed': self.passed,
+        }
 
     def __str__(self) -> str:
         """Return the comparison as a report states it."""

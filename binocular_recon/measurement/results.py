@@ -16,6 +16,7 @@ from binocular_recon.measurement.picks import write_table
 from binocular_recon.measurement.uncertain import Uncertain
 from binocular_recon.number_text import fixed
 
+MEASUREMENTS_FILE = 'measurements.json'
 # Decimals of each unit, for people.
 _DECIMALS = {'m': 3, 'm2': 3, 'deg': 2, '': 4}
 
@@ -144,7 +145,7 @@ def write_results(folder: Path, found: Sequence[Measurement], facts: dict[str, A
 
     Returns the paths. Raises a FileError if one cannot be written.
     """
-    paths = [folder / 'measurements.json', folder / 'measurements.csv']
+    paths = [folder / MEASUREMENTS_FILE, folder / 'measurements.csv']
     write_json(paths[0], {**facts, 'measurements': [one.to_mapping() for one in found]})
     rows: list[Sequence[object]] = [
         (one.name, one.kind, ' '.join(one.points), one.frame, what, q.value, q.sigma, q.unit)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ import pytest
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
 from binocular_recon.cli.main import main
 from binocular_recon.errors import ImageError
+from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import write_rig
 from binocular_recon.io.pairs.video import Video, VideoFrame
 from test.bag_tools import HEIGHT, WIDTH, image_pair, rig, stereo_records, write_bag
@@ -78,11 +80,19 @@ def test_files_give_the_clouds_of_the_bag_and_are_continued(
     assert summary['frames'][0]['images'] == ['left_9.png', 'right_9.png']
     assert summary['frames'][0]['stamp_ns'] is None
     assert (summary['images_read'], summary['unpaired']) == (2 * FRAMES, 0)
-    assert run(calibration, output, *words) == 0
+    assert summary['source']['calibrated_in'] == str(calibration)
+    # it may lie elsewhere
+    moved = shutil.copytree(calibration, tmp_path / 'moved')
+    assert run(moved, output, *words) == 0
     assert 'is finished already' in capsys.readouterr().err
-    assert run(calibration, output, *words, '--rectified', '--every', '2') == 0
-    assert frames_of(output) == FRAMES / 2
+    halved = '--rectified', '--every', '2', '--format', 'right'
+    assert run(calibration, output, *words, *halved) == 0
     assert 'taken as rectified images' in capsys.readouterr().err
+    for index in range(FRAMES // 2):
+        path = output / f'{index:06d}_right.png'
+        assert (cv2.imread(str(path)) == to_bgr8(image_pair(2 * index)[1])).all()
+        path.unlink()
+    assert frames_of(output) == FRAMES / 2
     # another file of the same name and size is another input
     cv2.imwrite(f'{sides[0]}/left_9.png', image_pair(7)[0])
     summary['finished'] = False

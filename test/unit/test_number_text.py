@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from binocular_recon.number_text import fixed, plain, significant
+from binocular_recon.number_text import day_text, fixed, plain, significant
 
 
 @pytest.mark.parametrize(
@@ -63,3 +63,9 @@ def test_columns_of_a_table() -> None:
 )
 def test_round_numbers_have_no_more_digits_than_they_need(value: float, text: str) -> None:
     assert plain(value) == text
+
+
+def test_days_are_said_in_english_and_other_texts_stay() -> None:
+    assert day_text('2026-11-28') == '28 November 2026'
+    assert day_text('2026-01-02T23:59:59+00:00') == '2 January 2026'
+    assert day_text('last week') == 'last week'

@@ -22,6 +22,8 @@ METHODS = {'planar': '#9aa7b4', 'corrected': '#e0a13a', 'adjusted': '#0b7a75'}
 DISTANCE = 'distance, m'
 # Columns and rows of the map of the depth sigma.
 _MAP = 24, 15
+# Columns and rows of the grid over an image whose coverage is counted.
+FIELDS = 8, 5
 # Bars of the chart of marks by distance.
 _DISTANCE_BINS = 12
 
@@ -163,6 +165,15 @@ def coverage(result: CalibrationResult, side: str) -> str:
         chosen = np.clip(((depth - near) / span * bands).astype(int), 0, bands - 1) == band
         chart.dots(pixels[chosen], shade(0.25 + 0.75 * band / (bands - 1)), 2.5, 0.9)
     return chart.svg(f'Marks in the {side} image')
+
+
+def covered(result: CalibrationResult, side: str) -> float:
+    """Return the share of the fields of an image that hold a mark."""
+    pixels = of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    width, height = result.calibration.image_size
+    columns, rows = (pixels / [width / FIELDS[0], height / FIELDS[1]]).astype(int).T
+    return len(set(zip(columns, rows, strict=True))) / (FIELDS[0] * FIELDS[1])
 
 
 def residual_vectors(result: CalibrationResult, side: str) -> tuple[str, float]:

@@ -18,13 +18,19 @@ from binocular_recon.calibration.result import (
     CalibrationResult,
     row_statistics,
 )
-from binocular_recon.drawing.page import embedded_image, figure, legend, page, section, table
-from binocular_recon.number_text import plain, significant
+from binocular_recon.drawing.page import (
+    cards,
+    embedded_image,
+    figure,
+    legend,
+    page,
+    section,
+    table,
+)
+from binocular_recon.number_text import day_text, plain, significant
 
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
-# Columns and rows of the grid over an image whose coverage is counted.
-_FIELDS = 8, 5
 
 
 class BoardImage(NamedTuple):
@@ -38,8 +44,10 @@ class BoardImage(NamedTuple):
     reason: str = ''
 
 
-def render_report(result: CalibrationResult, images: Sequence[BoardImage] = ()) -> str:
-    """Return the report as an HTML page, with the images given."""
+def render_report(
+    result: CalibrationResult, images: Sequence[BoardImage] = (), date: str = ''
+) -> str:
+    """Return the report as an HTML page, with the images given and the date (ISO 8601)."""
     sections = (
         _summary(result),
         _notes(result),
@@ -53,7 +61,10 @@ def render_report(result: CalibrationResult, images: Sequence[BoardImage] = ()) 
         _images(images),
         parameters(result),
     )
-    return page('Stereo calibration', sections, 'Uncertainties are one standard deviation.')
+    subtitle = f'{day_text(date)} · ' if date else ''
+    subtitle += f'{len(result.names)} boards, {result.sizes}'
+    footer = 'Uncertainties are one standard deviation.'
+    return page('Stereo calibration', sections, footer, subtitle=subtitle)
 
 
 def _summary(result: CalibrationResult) -> str:
@@ -61,7 +72,7 @@ def _summary(result: CalibrationResult) -> str:
     depth = _working_depth(result)
     marks = int(np.isfinite(result.adjusted.residuals_px).all(axis=-1).sum())
     noise = float(np.sqrt(np.mean(result.mark_sigma_px**2)))
-    cards = (
+    figures = (
         (
             f'{significant(1e3 * result.depth_sigma_m(depth))} mm',
             f'depth sigma at {plain(depth)} m',
@@ -83,8 +94,7 @@ def _summary(result: CalibrationResult) -> str:
             f'boards used, {marks} marks in both images, {result.sizes}',
         ),
     )
-    items = ''.join(f'<li><b>{value}</b><span>{label}</span></li>' for value, label in cards)
-    return f'<ul class="cards">{items}</ul>'
+    return cards(figures)
 
 
 def _notes(result: CalibrationResult) -> str:
@@ -219,7 +229,8 @@ def _coverage(result: CalibrationResult) -> str:
     depth = result.marks_m[..., 2]
     figures = []
     for side in ('left', 'right'):
-        share, fields = 100 * _covered(result, side), '{} x {}'.format(*_FIELDS)
+        share = 100 * charts.covered(result, side)
+        fields = '{} x {}'.format(*charts.FIELDS)
         caption = (
             f'{side.capitalize()} image: marks in {share:.0f} % of {fields} fields; dark = far.'
         )
@@ -273,15 +284,6 @@ def _images(images: Sequence[BoardImage]) -> str:
         ' found and left out.',
         f'<div class="images">{"".join(figures)}</div>',
     )
-
-
-def _covered(result: CalibrationResult, side: str) -> float:
-    """Return the share of the fields of an image that hold a mark."""
-    pixels = charts.of_side(result.estimate.problem.observed_px, side).reshape(-1, 2)
-    pixels = pixels[np.isfinite(pixels).all(axis=1)]
-    width, height = result.calibration.image_size
-    columns, rows = (pixels / [width / _FIELDS[0], height / _FIELDS[1]]).astype(int).T
-    return len(set(zip(columns, rows, strict=True))) / (_FIELDS[0] * _FIELDS[1])
 
 
 def _working_depth(result: CalibrationResult) -> float:

@@ -7,6 +7,7 @@ import argparse
 import functools
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -29,8 +30,8 @@ from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
-from binocular_recon.machine import peak_bytes
-from binocular_recon.measurement.check_distance import check_distances
+from binocular_recon.machine import now_text, peak_bytes
+from binocular_recon.measurement.check_distance import CHECK_FILE, check_distances
 from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')
@@ -96,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--check', type=Path, metavar='RIG',
         help='instead of calibrating: check whether the calibration in the folder RIG still holds'
         ' for these boards: rows, and a check distance on each, of a rod or of two --points;'
-        ' exit status 1 if it does not',
+        ' exit status 1 if it does not; with --output also DIR/check.json, for the report',
     )  # fmt: skip
     add_output_option(parser, required=False)
 
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> None:
         return
     read_marks = _read_points if args.points else _detect_marks
     if args.check:
-        _check_holding(read_rig(args.check), read_marks(args))
+        _check_holding(read_rig(args.check), read_marks(args), args.output)
         return
     (captures, target, sizes, rejected), marks_s = _timed(lambda: read_marks(args))
     result, solve_s = _timed(
@@ -178,8 +179,8 @@ def _check(args: argparse.Namespace) -> None:
     """Raise a ConfigError for arguments that are missing or contradict each other."""
     if args.output is None and not args.check:
         raise ConfigError('give --output DIR, the folder for the results')
-    if args.check and (args.output or args.self_check):
-        raise ConfigError('--check writes nothing; give it without --output and --self-check')
+    if args.check and args.self_check:
+        raise ConfigError('--check and --self-check exclude each other; omit one of them')
     if args.self_check:
         return
     if (args.captures is None) == (args.points is None):
@@ -194,8 +195,11 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError('--image-size belongs to --points; images have their own size')
 
 
-def _check_holding(rig: StereoRig, marks: _Marks) -> None:
-    """Print how well a calibration explains new marks; raise a CalibrationError if it does not."""
+def _check_holding(rig: StereoRig, marks: _Marks, output: Path | None) -> None:
+    """Print how well a calibration explains new marks; raise a CalibrationError if it does not.
+
+    The result is written to ``check.json`` in ``output``, if that is given.
+    """
     holding = check_holding(rig, marks.captures, marks.target, marks.sizes.left, marks.sizes.right)
     for board in (*marks.rejected, *holding.left_out):
         print(f'left out: {board.name}: {board.reason}')
@@ -206,6 +210,17 @@ def _check_holding(rig: StereoRig, marks: _Marks) -> None:
     for distance in distances:
         print(plain_text(str(distance)))
     faults = [*holding.faults, *(str(one) for one in distances if not one.passed)]
+    if output:
+        make_folder(output)
+        content = {
+            'date': now_text(),
+            'rows': str(holding),
+            'distances': [one.to_mapping() for one in distances],
+            'left_out': [asdict(board) for board in (*marks.rejected, *holding.left_out)],
+            'faults': faults,
+        }
+        write_json(output / CHECK_FILE, content)
+        print(output / CHECK_FILE)
     if faults:
         raise CalibrationError(
             f'the calibration does not hold: {"; ".join(faults)}; check the heights of the'

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ def test_files_hold_the_calibration(tmp_path: Path) -> None:
     assert 'camera_name: cam_r' in (tmp_path / 'new' / 'rig' / 'right.yaml').read_text()
     content = json.loads((tmp_path / 'new' / 'rig' / 'calibration.json').read_text())
     assert content['baseline_m'] == result.calibration.baseline_m
+    age = datetime.now(timezone.utc) - datetime.fromisoformat(content['date'])
+    assert timedelta(0) <= age + timedelta(seconds=1) < timedelta(hours=1)
     assert sorted(path.name for path in (tmp_path / 'new' / 'rig').iterdir()) == sorted(FILES)
 
 

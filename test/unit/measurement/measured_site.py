@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
+from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.metric_rectification import metric_rig
 from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
@@ -17,8 +20,14 @@ from binocular_recon.evaluation.paper.site import Site
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.simulation.rig import RawRig, survey_rig
 from binocular_recon.simulation.scene import build_scene
+from binocular_recon.stereo.filtering.wls_filter import Filtered
+from binocular_recon.stereo.matching import Match
+from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange
+from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
+from test.frame_results import add_frame
 
 SCALE, NOISE_PX = 0.15, 0.05
 
@@ -106,3 +115,30 @@ class MeasuredSite:
         chosen = rng.choice(len(rows), count, replace=False)
         pixels = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.float64)
         return pixels, self.truth[rows[chosen], columns[chosen]]
+
+
+def write_output(site: MeasuredSite, folder: Path) -> Path:
+    """Write what `reconstruct` would of the frame of a site; returns the folder."""
+    frame = site.frame
+    found = Reconstruction(
+        frame.left_bgr,
+        frame.left_bgr,
+        Match(frame.disparity_px, frame.sigma_px, frame.validity),
+        Filtered(frame.disparity_px, frame.sigma_px, frame.validity, 1, 0.0),
+        triangulate(frame.disparity_px, frame.sigma_px, frame.validity, site.rig, frame.limits),
+        RangeChoice(SearchRange(0, 64)),
+        thinning=frame.limits,
+    )
+    results = ResultFolder(folder, {'source': {'alpha': -1.0, 'rectified': False}})
+    add_frame(results, 0, site.calibrated, found)
+    results.write_summary(finished=True)
+    results.close()
+    return folder
+
+
+def write_rows(path: Path, rows: list[dict[str, object]]) -> Path:
+    with path.open('w', newline='') as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from binocular_recon.apps.survey.simulated_site import TARGETS
 from binocular_recon.cli.main import main
 from binocular_recon.cli.quality import simulate
 from binocular_recon.io.bags.reader import Bag
@@ -22,6 +23,7 @@ from binocular_recon.simulation.scene import (
     trace_scene,
     true_disparity,
 )
+from binocular_recon.simulation.survey_targets import with_targets
 
 RIG = survey_rig(0.25)
 
@@ -143,3 +145,18 @@ def test_command_says_where_it_cannot_write(
     (tmp_path / 'taken').write_text('a file')
     assert main(['simulate', 'scene', '--output', str(tmp_path / 'taken')]) == 1
     assert 'taken cannot be made' in capsys.readouterr().err
+
+
+def test_targets_stand_where_they_are_said_to() -> None:
+    rig = survey_rig(0.3)
+    rng = np.random.default_rng(3)
+    scene, middles = with_targets(build_scene(rng), TARGETS, rng)
+    view = rig.views()[0]
+    depth_m, labels = trace_scene(scene, view)
+    ground = view.rays(np.array([[290.0, 340.0]]))[0]  # a ray that meets the ground
+    ground = ground * depth_m[340, 290]
+    for name, middle in middles.items():
+        column, row = np.rint(view.project(middle)).astype(int)
+        assert scene.owners[labels[row, column]] == 'target', name
+        assert depth_m[row, column] == pytest.approx(middle[2], abs=0.02)
+        assert (middle - ground) @ scene.up_xyz == pytest.approx(TARGETS[name][1], abs=0.01)
