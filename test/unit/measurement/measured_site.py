@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
+from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.calibration.model import StereoCalibration
 from binocular_recon.calibration.rectification.metric_rectification import metric_rig
 from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
@@ -17,7 +19,12 @@ from binocular_recon.evaluation.paper.site import Site
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.simulation.rig import RawRig, survey_rig
 from binocular_recon.simulation.scene import build_scene
+from binocular_recon.stereo.filtering.wls_filter import Filtered
+from binocular_recon.stereo.matching import Match
+from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import Rectifier
+from binocular_recon.stereo.search_range import RangeChoice, SearchRange
+from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
 SCALE, NOISE_PX = 0.15, 0.05
@@ -106,3 +113,23 @@ class MeasuredSite:
         chosen = rng.choice(len(rows), count, replace=False)
         pixels = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.float64)
         return pixels, self.truth[rows[chosen], columns[chosen]]
+
+
+def stored(site: MeasuredSite, folder: Path, frames: int = 1) -> Path:
+    """Write an output folder of `reconstruct` with some frames, all alike, and return it."""
+    frame = site.frame
+    found = Reconstruction(
+        frame.left_bgr,
+        frame.left_bgr,
+        Match(frame.disparity_px, frame.sigma_px, frame.validity),
+        Filtered(frame.disparity_px, frame.sigma_px, frame.validity, 1, 0.0),
+        triangulate(frame.disparity_px, frame.sigma_px, frame.validity, site.rig, frame.limits),
+        RangeChoice(SearchRange(0, 64)),
+        thinning=frame.limits,
+    )
+    results = ResultFolder(folder, {'source': {'alpha': -1.0, 'rectified': False}})
+    for number in range(frames):
+        results.add(number, site.calibrated, found, 0.1)
+    results.write_summary(finished=True)
+    results.close()
+    return folder

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.camera import FloatArray
 from binocular_recon.cli.main import main
 from binocular_recon.errors import DependencyError, MeasurementError
@@ -26,12 +25,7 @@ from binocular_recon.measurement.site.reference_systems import reference_system
 from binocular_recon.measurement.site.tie import TIE_FILE, SiteTie, read_tie
 from binocular_recon.measurement.snapping import PICK_SIGMA_PX, locate
 from binocular_recon.measurement.uncertain import Uncertain
-from binocular_recon.stereo.filtering.wls_filter import Filtered
-from binocular_recon.stereo.matching import Match
-from binocular_recon.stereo.pipeline import Reconstruction
-from binocular_recon.stereo.search_range import RangeChoice, SearchRange
-from binocular_recon.stereo.triangulation import triangulate
-from test.unit.measurement.measured_site import MeasuredSite
+from test.unit.measurement.measured_site import MeasuredSite, stored
 
 TURN = cv2.Rodrigues(np.array([[-1.6], [0.2], [0.1]]))[0]
 # Large coordinates, as those of a map.
@@ -222,22 +216,7 @@ def test_damaged_control_files(tmp_path: Path, text: str, message: str) -> None:
 @pytest.fixture(scope='module')
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return an output folder of `reconstruct` with one frame of a simulated site."""
-    site, folder = site_of(0), tmp_path_factory.mktemp('out')
-    frame = site.frame
-    found = Reconstruction(
-        frame.left_bgr,
-        frame.left_bgr,
-        Match(frame.disparity_px, frame.sigma_px, frame.validity),
-        Filtered(frame.disparity_px, frame.sigma_px, frame.validity, 1, 0.0),
-        triangulate(frame.disparity_px, frame.sigma_px, frame.validity, site.rig, frame.limits),
-        RangeChoice(SearchRange(0, 64)),
-        thinning=frame.limits,
-    )
-    results = ResultFolder(folder, {'source': {'alpha': -1.0, 'rectified': False}})
-    results.add(0, site.calibrated, found, 0.1)
-    results.write_summary(finished=True)
-    results.close()
-    return folder
+    return stored(site_of(0), tmp_path_factory.mktemp('out'))
 
 
 def write_rows(path: Path, rows: list[dict[str, object]]) -> Path:
