@@ -41,12 +41,12 @@ class Scene:
         self._drawn: ColouredFrame | None = None
         self._nodes: dict[str, tuple[object, Any]] = {}
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        server.gui.set_panel_label('view')
         server.gui.main_panel.minimize()
         server.scene.world_axes.visible = False
         server.scene.on_click()(self._on_click)
         self.update()
         self._place_camera()
+        server.gui.set_panel_label('view')
 
     def update(self) -> None:
         """Draw what has changed."""

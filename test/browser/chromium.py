@@ -44,11 +44,12 @@ class Tab:
         self._session: dict[str, str] = {}
         self.requests: list[str] = []
         self.errors: list[str] = []
-        target = self.do('Target.createTarget', url='about:blank')['targetId']
+        target = self.do('Target.createTarget', url='about:blank', newWindow=True)['targetId']
         session = self.do('Target.attachToTarget', targetId=target, flatten=True)['sessionId']
         self._session = {'sessionId': session}
         for domain in ('Page', 'Runtime', 'Network', 'Log'):
             self.do(f'{domain}.enable')
+        self.do('Emulation.setFocusEmulationEnabled', enabled=True)
 
     def do(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command and return its result."""

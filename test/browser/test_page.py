@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real clicks in a headless Chromium: lengths appear, and `measure` reports the same (make browser).
+"""Real clicks in a headless Chromium: lengths appear that `measure` reports too (make browser).
 
 Not a part of ``make test``: it needs a Chromium of the system.
 """
@@ -52,16 +52,23 @@ def ready(tab: Tab, address: str) -> None:
     """Open the page and wait for image and cloud."""
     tab.open(address)
     tab.wait_for("document.querySelector('#points').textContent.includes('points')")
-    tab.wait_for("document.querySelector('#cloud').contentDocument.querySelector('canvas').width")
+    cloud = "document.querySelector('#cloud').contentDocument"
+    tab.wait_for(f"[...{cloud}.querySelectorAll('canvas')].some(one => one.width > 100)")
+    tab.wait_for(f"{cloud}.body.innerText.includes('view')")  # what the server has set last
+
+
+def box(tab: Tab, selector: str) -> list[float]:
+    """Return the left and top edge, width and height of an element."""
+    found: list[float] = tab.value(
+        '(({x, y, width, height}) => [x, y, width, height])'
+        f'(document.querySelector({selector!r}).getBoundingClientRect())'
+    )
+    return found
 
 
 def place(tab: Tab, pixel: list[float]) -> tuple[float, float]:
     """Return where a pixel of the image is in the tab, once the image is fitted."""
-    box = tab.value(
-        '(({x, y, width, height}) => [x, y, width, height])'
-        "(document.querySelector('#image').getBoundingClientRect())"
-    )
-    x, y, width, height = box
+    x, y, width, height = box(tab, '#image')
     columns, rows = 288, 180
     scale = min(width / columns, height / rows)
     return (
@@ -105,20 +112,16 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         other.press('z', control=True)
         tab.wait_for(f'{NAMES}.length === 2')
         # in the cloud, until a click meets a point
-        tab.click(*tab.value("(({x, y}) => [x + 20, y + 20])"
-                             "(document.querySelector('[data-name=point]').getBoundingClientRect())"))  # fmt: skip
+        left, top, _, _ = box(tab, '[data-name=point]')
+        tab.click(left + 20, top + 10)
         tab.wait_for("document.querySelector('[data-name=point]').ariaChecked === 'true'")
-        left, top, width, height = tab.value(
-            '(({x, y, width, height}) => [x, y, width, height])'
-            "(document.querySelector('#cloud').getBoundingClientRect())"
-        )
+        left, top, width, height = box(tab, '#cloud')
         for down in (0.55, 0.6, 0.65, 0.7):
             tab.click(left + 0.5 * width, top + down * height)
             tab.wait_for(f"{NAMES}.length === 3 || !document.querySelector('#message').hidden")
             if tab.value(f'{NAMES}.length') == 3:
                 break
         assert tab.value(f'{VALUES}.length') == 4  # a length, and x, y, z
-        # a hole of the image's border, far from all picks, is refused in a sentence
         assert not [*tab.errors, *other.errors]
         own = served.address.split('//')[1]
         outside = [
