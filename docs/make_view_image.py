@@ -18,12 +18,12 @@ DRIVER = Path(__file__).parents[1] / 'test' / 'browser' / 'chromium.py'
 SIZE, WIDTH = (1500, 800), 1200
 PICKS = """
 picks:
-- {name: rear, frame: 0, u: 199.0, v: 356.0}
-- {name: front, frame: 0, u: 600.0, v: 366.0}
+- {name: rear, frame: 0, u: 214.0, v: 262.0}
+- {name: engine, frame: 0, u: 400.0, v: 330.0}
 - {name: seat, frame: 0, u: 250.0, v: 204.0}
 - {name: lamp, frame: 0, u: 573.0, v: 127.0}
 measurements:
-- {name: wheelbase, kind: distance, points: [rear, front]}
+- {name: wheel to engine, kind: distance, points: [rear, engine]}
 - {name: height of seat, kind: height, points: [seat]}
 - {name: seat to lamp, kind: vertical, points: [seat, lamp]}
 """

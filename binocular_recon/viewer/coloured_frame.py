@@ -22,6 +22,8 @@ from binocular_recon.measurement.planes import normal_of
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
+# The shown cloud is thinned to about this number of points.
+MOST_POINTS = 500_000
 # Beyond these shares of the values, %, a colour is that of the end of the scale.
 _RANGE_PERCENT = 1.0, 99.0
 # How much of the image's grey shows through a colour that stands for values.
@@ -85,7 +87,7 @@ class ColouredFrame:
     colour: str = 'image'
     ground: FloatArray | None = None
     crop_m: tuple[float, float] = (0.0, math.inf)
-    most_points: int = 500_000
+    most_points: int = MOST_POINTS
     _coloured: tuple[ByteImage, Legend] = field(init=False)
 
     def __post_init__(self) -> None:

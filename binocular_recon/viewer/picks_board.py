@@ -186,10 +186,9 @@ class PicksBoard:
 
 def _renamed(request: Request, name: str, to: str) -> Request:
     points = tuple(to if one == name else one for one in request.points)
-    plain = request.name in {' '.join((request.kind, *request.points)), name}
-    if not plain:
-        return replace(request, points=points)
-    return default_request(request.kind, points)
+    if request == default_request(request.kind, request.points):
+        return default_request(request.kind, points)
+    return replace(request, points=points)
 
 
 def default_request(kind: str, points: tuple[str, ...]) -> Request:

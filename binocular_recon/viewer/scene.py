@@ -55,9 +55,12 @@ class Scene:
             if view.displayed is not self._drawn:
                 self._drawn = view.displayed
                 points, rgb = view.displayed.cloud
+                seen = len(points) > 0
+                if not seen:  # viser's client wants a point
+                    points, rgb = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)
                 self._server.scene.add_point_cloud(
                     '/cloud', points, rgb, point_size=_SIZE_GAPS * view.displayed.gap_m,
-                    precision='float32', point_shape='rounded', point_shading='flat',
+                    precision='float32', visible=seen, point_shape='rounded', point_shading='flat',
                 )  # fmt: skip
             wanted = self._wanted()
             for name in [*self._nodes]:
@@ -114,7 +117,8 @@ class Scene:
         frame = self._view.frame
         depth_m = frame.points_xyz[..., 2]
         depth_m = depth_m[np.isfinite(depth_m)]
-        middle = np.array([0.0, 0.0, float(np.median(depth_m)) if depth_m.size else 1.0])
+        away_m = float(np.median(depth_m)) if depth_m.size else 1.0
+        middle = away_m * frame.ray((np.array(frame.size) - 1) / 2)
         turn = cv2.Rodrigues(np.radians([_PITCH_DEG, 0.0, 0.0]))[0]
         turn = cv2.Rodrigues(np.radians([0.0, _YAW_DEG, 0.0]))[0] @ turn
         camera = self._server.initial_camera

@@ -19,11 +19,10 @@ from binocular_recon.measurement.kinds import KINDS, measure
 from binocular_recon.measurement.picks import Pick, Request
 from binocular_recon.measurement.results import Measurement
 from binocular_recon.measurement.snapping import PICK_SIGMA_PX, check_inside
-from binocular_recon.viewer.coloured_frame import COLOURS, ColouredFrame
+from binocular_recon.viewer.coloured_frame import COLOURS, MOST_POINTS, ColouredFrame
 from binocular_recon.viewer.measurer import Measurer
 from binocular_recon.viewer.picks_board import Marks, PicksBoard, default_request
 
-MOST_POINTS = 500_000
 _CAMERA_UP = (0.0, -1.0, 0.0)
 
 
@@ -194,7 +193,7 @@ class SharedView:
         Raises
         ------
         ConfigError
-            If there is no such colour.
+            If there is no such colour, or nothing between the depths.
         FileError, CalibrationError
             If the frame cannot be read.
 
@@ -203,6 +202,11 @@ class SharedView:
             wanted = replace(self.shown, **changes)  # type: ignore[arg-type]
             if wanted.colour not in COLOURS:
                 raise ConfigError(f'{shortened(wanted.colour)} is no way of colouring')
+            if not wanted.near_m < wanted.far_m:
+                raise ConfigError(
+                    f'the nearest depth shown, {wanted.near_m:g} m, must be below the farthest,'
+                    f' {wanted.far_m:g} m'
+                )
             self._displayed = (wanted, self._coloured(wanted))
             self.shown, self.image_revision = wanted, self.revision + 1
 

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from binocular_recon.cli.options import non_negative, note, positive
 from binocular_recon.measurement.snapping import PICK_SIGMA_PX
-
-_MOST_POINTS = 500_000
+from binocular_recon.viewer.coloured_frame import MOST_POINTS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--no-browser', action='store_true', help='print the address, but open no browser'
     )
     parser.add_argument(
-        '--max-points', type=positive(int), default=_MOST_POINTS, metavar='N',
+        '--max-points', type=positive(int), default=MOST_POINTS, metavar='N',
         help='the shown cloud is thinned to about this number; measuring uses every pixel'
         ' (%(default)s)',
     )  # fmt: skip

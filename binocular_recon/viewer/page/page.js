@@ -281,7 +281,7 @@ $('message').onclick = () => say('');
 $('measurements').dataset.empty = 'None yet.';
 $('picks').dataset.empty = 'None yet.';
 
-document.addEventListener('keydown', (event) => {
+function pressed(event) {
   if (event.target.matches('input') || !state) return;
   const key = event.key.toLowerCase();
   const control = event.ctrlKey || event.metaKey;
@@ -296,7 +296,9 @@ document.addEventListener('keydown', (event) => {
   else if (key === 'pagedown' && state.shown.frame < state.frames - 1) frame(state.shown.frame + 1);
   else return;
   event.preventDefault();
-});
+}
+document.addEventListener('keydown', pressed);
+$('cloud').onload = () => $('cloud').contentDocument.addEventListener('keydown', pressed);
 
 $('splitter').onpointerdown = (event) => $('splitter').setPointerCapture(event.pointerId);
 $('splitter').onpointermove = (event) => {

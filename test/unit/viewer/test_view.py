@@ -172,6 +172,7 @@ def test_frames_colours_and_crop(view: SharedView, site: MeasuredSite, spots: Fl
     depth_m = view.displayed.cloud[0][:, 2]
     assert depth_m.min() >= 10 and depth_m.max() <= 15
     assert view.displayed.image.mean() < images[-1].mean()
+    assert 'must be below' in ask(view, 'show', near_m=15)['error']
     ask(view, 'show', near_m=None, far_m=None, colour='image')
     for number in range(view.folder.count):  # few of them are held
         assert ask(view, 'show', frame=number) == {'done': None}
