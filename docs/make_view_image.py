@@ -55,17 +55,17 @@ def picture(address: str) -> cv2.typing.MatLike:
     with runpy.run_path(str(DRIVER))['chromium']() as (tab,):
         tab.open(address, SIZE)
         tab.wait_for(f"{CLOUD}.body.innerText.includes('view')")
-        end = time.monotonic() + 60
+        image = np.zeros((*SIZE[::-1], 3), np.uint8)
+        end = time.monotonic() + 120
         while time.monotonic() < end:
+            before = image
             # that WebGL is drawn by the processor is not for the reader
             tab.value(f"{CLOUD}.querySelector('.mantine-Notification-closeButton')?.click()")
             image = cv2.imdecode(np.frombuffer(tab.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-            middle = image[250:650, 650:1150]
-            if middle.std() > 30 and not tab.value(
-                f"{CLOUD}.querySelector('.mantine-Notification-root')"
-            ):
+            said = tab.value(f"{CLOUD}.querySelector('.mantine-Notification-root') !== null")
+            if image[250:650, 650:1150].std() > 30 and not said and (image == before).all():
                 return image
-            time.sleep(0.5)
+            time.sleep(2)
     raise SystemExit('the cloud was not drawn')
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import cv2
 
-from binocular_recon.errors import ConfigError
+from binocular_recon.errors import ConfigError, DependencyError
 from binocular_recon.machine import optional_package
 from binocular_recon.viewer.actions import answer, state_of
 from binocular_recon.viewer.guard import Guard, safe_headers
@@ -56,7 +56,7 @@ class PageServer:
     Raises
     ------
     DependencyError
-        If viser is not installed.
+        If viser is not installed, or too old or new to be guarded.
     ConfigError
         If the port is in use.
 
@@ -72,8 +72,11 @@ class PageServer:
             self.address = f'http://{HOST}:{bound.getsockname()[1]}{self._guard.root}'
             # it prints an address that does not work
             quiet = contextlib.redirect_stdout(io.StringIO())
-            with self._in_place_of_its_own_server(bound), quiet:
+            with self._in_place_of_its_own_server(bound) as guarded, quiet:
                 self._viser = viser.ViserServer(HOST, 0, verbose=False)
+                if not guarded:
+                    self._viser.stop()
+                    raise DependencyError('this viser cannot be guarded; install viser 1.1')
         # it would carry the cloud to a server of others
         self._viser.request_share_url = lambda *_, **__: None
         self.scene = Scene(self._viser, view, lambda text: self._send({'problem': text}))
@@ -87,21 +90,19 @@ class PageServer:
             self._viser.stop()
 
     @contextlib.contextmanager
-    def _in_place_of_its_own_server(self, bound: socket.socket) -> Iterator[None]:
+    def _in_place_of_its_own_server(self, bound: socket.socket) -> Iterator[list[bool]]:
         """Let viser start on our socket, behind our guard and beside our page.
 
-        viser takes connections of every web page and has no setting against that.
+        viser takes connections of every web page and has no setting against that. Yields a list
+        that is empty until it has started so.
         """
         server = self._websockets.asyncio.server
         plain = server.serve
-        used = []
+        guarded: list[bool] = []
 
         @functools.wraps(plain)
-        def serve(
-            handler: _Handler, host: object, port: object, *, process_request: Any, **options: Any
-        ) -> Any:
-            del host, port
-            used.append(True)
+        def serve(handler: _Handler, *_: object, process_request: Any, **options: Any) -> Any:
+            guarded.append(True)
             log = logging.getLogger(__name__)
             log.setLevel(logging.CRITICAL)  # what others send us is not our fault
             return plain(
@@ -114,11 +115,9 @@ class PageServer:
 
         server.serve = serve
         try:
-            yield
+            yield guarded
         finally:
             server.serve = plain
-        if not used:
-            raise ConfigError('this version of viser cannot be guarded; install viser 1.1')
 
     async def _requested(self, of_viser: Callable[..., Any], connection: Any, request: Any) -> Any:
         """Return the answer to a request, or None for a connection that is to stay."""

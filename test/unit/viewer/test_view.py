@@ -373,6 +373,14 @@ def test_the_command_serves_until_it_is_interrupted(output: Path, tmp_path: Path
         assert process.stdout.read() == ''
 
 
-def test_view_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_says_what_is_wrong(
+    output: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert main(['view', str(tmp_path)]) == 1
     assert 'give the output folder of reconstruct' in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, 'viser', None)
+    assert main(['view', str(output), '--no-browser']) == 1
+    assert "pip install 'binocular_recon[view]'" in capsys.readouterr().err
