@@ -55,6 +55,8 @@ class SharedView:
     kind : str
         What the next clicks measure, a key of `KINDS`.
     shown : Shown
+    displayed : ColouredFrame
+        The shown frame in its colours.
     revision : int
         Number of changes so far.
     image_revision : int
@@ -85,7 +87,7 @@ class SharedView:
         self._lock = threading.RLock()
         picks = board.marks.picks.values()
         self._measurer = Measurer(folder, picks, pick_sigma_px)
-        self._displayed = (self.shown, self._coloured(self.shown))
+        self.displayed = self._coloured(self.shown)
 
     @contextmanager
     def _changing(self) -> Iterator[Marks]:
@@ -207,13 +209,8 @@ class SharedView:
                     f'the nearest depth shown, {wanted.near_m:g} m, must be below the farthest,'
                     f' {wanted.far_m:g} m'
                 )
-            self._displayed = (wanted, self._coloured(wanted))
+            self.displayed = self._coloured(wanted)
             self.shown, self.image_revision = wanted, self.revision + 1
-
-    @property
-    def displayed(self) -> ColouredFrame:
-        """The shown frame in its colours."""
-        return self._displayed[1]
 
     @property
     def frame(self) -> MeasuredFrame:

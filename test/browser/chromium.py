@@ -75,7 +75,7 @@ class Tab:
         elif what == 'Log.entryAdded' and facts['entry']['level'] == 'error':
             self.errors.append(facts['entry']['text'])
 
-    def open(self, address: str, size: tuple[int, int] = (1100, 640)) -> None:
+    def open(self, address: str, size: tuple[int, int] = (1500, 640)) -> None:
         """Open an address."""
         self.do(
             'Emulation.setDeviceMetricsOverride', width=size[0], height=size[1],
