@@ -17,7 +17,8 @@ endif
 
 .NOTPARALLEL:
 .PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
-        environments jazzy-environment colcon-environment colcon clients fuzz soak evaluate benchmark docs nodes-page site images maintainers \
+        environments jazzy-environment colcon-environment colcon clients browser fuzz soak evaluate benchmark docs \
+        nodes-page site images maintainers \
         lock dist clean distclean
 
 help: ## this list
@@ -110,6 +111,10 @@ clients: setup ## real programs open our clouds and reports: CloudCompare under 
 	    { echo 'needs CloudCompare and Xvfb: apt-get install cloudcompare xvfb xauth'; exit 1; }
 	$(PYTEST) -q test/clients
 
+browser: setup ## real clicks on the page of `view` in a headless Chromium
+	@command -v chromium >/dev/null || { echo 'needs Chromium: apt-get install chromium'; exit 1; }
+	$(PYTEST) -q test/browser
+
 MINUTES ?= 10
 
 fuzz: setup ## changed inputs of every form for MINUTES=10; findings go to out/fuzz/
@@ -138,9 +143,11 @@ site: setup
 	@$(INSTALL) .venv docs
 	.venv/bin/sphinx-build -q -W --keep-going -d docs/_build/doctrees docs docs/_build/html
 
-images: demo ## the images of README and docs from the results of the demos
+images: setup demo ## the images of README and docs from the results of the demos
 	@$(RUN) -m binocular_recon demo --survey --output out/survey
 	@$(RUN) docs/make_images.py out/demo out/survey
+	@if command -v chromium >/dev/null; then $(RUN) docs/make_view_image.py out/demo; \
+	else echo 'docs/images/view.jpg stays as it is: it needs Chromium'; fi
 
 maintainers: setup ## MAINTAINERS.md to package.xml and CITATION.cff
 	$(RUN) tools/maintainers.py

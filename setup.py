@@ -73,7 +73,7 @@ def arguments() -> dict[str, Any]:
             'Typing :: Typed',
         ],
         'packages': find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-        'package_data': {PACKAGE: ['py.typed', 'drawing/assets/*']},
+        'package_data': {PACKAGE: ['py.typed', 'drawing/assets/*', 'viewer/page/*']},
         'data_files': [
             ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
             (f'share/{PACKAGE}', ['package.xml']),
@@ -98,7 +98,7 @@ def arguments() -> dict[str, Any]:
             'onnx': ['onnxruntime>=1.20'],
             'survey': ['laspy[lazrs]>=2.5.4,<3', 'pyproj>=3.6.1,<4'],
             'video': ['av>=12'],
-            'view': ['viser>=1.0,<2'],
+            'view': ['viser>=1.1,<2'],
             'test': ['packaging', 'pytest', 'pytest-timeout'],
         },
         'zip_safe': False,

@@ -5,7 +5,7 @@ This is the public interface: what a program needs to turn image pairs into clou
 rectification, matching, filtering and triangulation; `ChainConfig` holds every option;
 `read_rig` reads a calibration; all errors derive from `BinocularReconError`. The subpackages
 export the rest: `stereo` (the chain's stages), `calibration`, `measurement`, `io`, `drawing`,
-`simulation`, `evaluation`, `apps`, and the front ends `nodes` and `cli`.
+`simulation`, `evaluation`, `apps`, `viewer`, and the front ends `nodes` and `cli`.
 """
 
 from typing import TYPE_CHECKING

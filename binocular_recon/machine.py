@@ -28,6 +28,8 @@ EXTRAS = {
     'onnxruntime': 'onnx',
     'pye57': 'e57',
     'pyproj': 'survey',
+    'viser': 'view',
+    'websockets': 'view',
 }
 
 

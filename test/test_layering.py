@@ -81,6 +81,7 @@ ROOMS = [
     {'evaluation.accuracy', 'evaluation.speed', 'evaluation.calibration'},
     {'evaluation.paper'},
     {'apps'},
+    {'viewer'},
     {'nodes.runtime'},
     {'nodes.calibration', 'nodes.stages'},
     {'nodes'},

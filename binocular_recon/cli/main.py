@@ -40,6 +40,10 @@ COMMANDS = {
         'survey',
         'measure between picked pixels of a reconstruction, with standard deviations',
     ),
+    'view': (
+        'survey',
+        'look at a reconstruction in the browser, click and measure',
+    ),
     'georeference': (
         'survey',
         'tie a reconstruction to control points of the site, or level it',

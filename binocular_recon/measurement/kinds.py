@@ -30,12 +30,26 @@ _SAME_M = 1e-6
 
 
 class Kind(NamedTuple):
-    """A kind of measurement: fewest and most picks (0 = any), what it is, how it is made."""
+    """A kind of measurement.
+
+    Attributes
+    ----------
+    least, most : int
+        Fewest and most picks; 0 = any number.
+    text : str
+        What it is.
+    measure : callable
+        How it is made.
+    located : bool
+        Whether each pick shows a point by itself, so that one on a hole is of no use.
+
+    """
 
     least: int
     most: int
     text: str
     measure: Callable[[MeasuringSession, Names], Measurement]
+    located: bool = True
 
 
 def measure(session: MeasuringSession, request: Request) -> Measurement:
@@ -204,11 +218,19 @@ KINDS = {
     'horizontal': Kind(2, 2, 'horizontal distance of two points', _horizontal),
     'vertical': Kind(2, 2, 'how much higher the second point is', _vertical),
     'height': Kind(1, 1, 'height of a point above the ground plane', _above_ground),
-    'upright': Kind(2, 2, 'height of a standing person or post: top, foot', _upright),
-    'wheelbase': Kind(2, 2, 'distance of hubs in an upright plane: rear, front', _wheelbase),
+    'upright': Kind(
+        2, 2, 'height of a standing person or post: top, foot', _upright, located=False
+    ),
+    'wheelbase': Kind(
+        2, 2, 'distance of hubs in an upright plane: rear, front', _wheelbase, located=False
+    ),
     'angle': Kind(3, 3, 'angle at the second of three points', _angle),
     'polyline': Kind(2, 0, 'length of a line through points, and of its legs', _polyline),
     'area': Kind(3, 0, 'area and perimeter of a polygon', _area),
-    'plane': Kind(3, 0, 'flatness and slope of the cloud within a polygon', measure_plane),
-    'section': Kind(2, 2, 'cross-section of the cloud between two points', measure_section),
+    'plane': Kind(
+        3, 0, 'flatness and slope of the cloud within a polygon', measure_plane, located=False
+    ),
+    'section': Kind(
+        2, 2, 'cross-section of the cloud between two points', measure_section, located=False
+    ),
 }

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError, shortened
@@ -79,7 +80,7 @@ class Request:
         return cls(words[0], tuple(words[1:]), ' '.join(words))
 
 
-def read_picks(path: Path) -> tuple[dict[str, Pick], list[Request]]:
+def read_picks(path: Path, *, may_be_empty: bool = False) -> tuple[dict[str, Pick], list[Request]]:
     """Read picks, by name, and what is to be measured between them.
 
     Raises
@@ -90,7 +91,7 @@ def read_picks(path: Path) -> tuple[dict[str, Pick], list[Request]]:
         If a value is missing or wrong, or a name appears twice; the message names the place.
 
     """
-    if path.suffix.lower() in {'.yaml', '.yml'}:
+    if holds_requests(path):
         content = read_yaml(path, f'give picks; {_FORMAT}')
         rows, requests = _yaml_rows(path, content)
     else:
@@ -100,14 +101,34 @@ def read_picks(path: Path) -> tuple[dict[str, Pick], list[Request]]:
     twice = next((name for name, count in counts.items() if count > 1), None)
     if twice is not None:
         raise MeasurementError(f'{path}: {shortened(twice)} is picked twice; rename one')
-    if not picks:
+    if not picks and not may_be_empty:
         raise MeasurementError(f'{path} holds no picks; {_FORMAT}')
     return {pick.name: pick for pick in picks}, requests
 
 
-def write_picks(path: Path, picks: Iterable[Pick]) -> None:
-    """Write picks as a table; raises a FileError if it cannot be written."""
+def holds_requests(path: Path) -> bool:
+    """Return whether a picks file of this name holds what is measured too: YAML, not a table."""
+    return path.suffix.lower() in {'.yaml', '.yml'}
+
+
+def write_picks(path: Path, picks: Iterable[Pick], requests: Iterable[Request] = ()) -> None:
+    """Write picks as a table, or as YAML with what is to be measured, by the name of the file.
+
+    Raises a FileError if it cannot be written.
+    """
     rows = list(picks)
+    if holds_requests(path):
+        content = {
+            'picks': [_entry(pick) for pick in rows],
+            'measurements': [
+                {'name': one.name, 'kind': one.kind, 'points': list(one.points)}
+                for one in requests
+            ],
+        }
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
+        with complete_file(path) as file:
+            file.write(text.encode())
+        return
     both = any(pick.right is not None for pick in rows)
     table = []
     for pick in rows:
@@ -116,6 +137,11 @@ def write_picks(path: Path, picks: Iterable[Pick]) -> None:
             pixels += ['', ''] if pick.right is None else pick.right.tolist()
         table.append([pick.name, pick.frame, *pixels])
     write_table(path, COLUMNS if both else COLUMNS[:4], table)
+
+
+def _entry(pick: Pick) -> dict[str, Any]:
+    pixels = [*pick.pixel.tolist(), *([] if pick.right is None else pick.right.tolist())]
+    return dict(zip(COLUMNS, [pick.name, pick.frame, *pixels], strict=False))
 
 
 def table_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, str]]]:

@@ -41,6 +41,11 @@ class Quantity:
     unit: str = 'm'
     shares: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def main_source(self) -> str:
+        """The kind of error that has the largest share, '' if none is known."""
+        return max(self.shares, key=lambda kind: self.shares[kind], default='')
+
     def __str__(self) -> str:
         """Return the quantity as a report states it: ``1.795 +- 0.006 m``."""
         decimals = _DECIMALS[self.unit]
@@ -128,7 +133,7 @@ class Measurement:
 def table(found: Sequence[Measurement]) -> str:
     """Return the measurements for a terminal, one quantity a line."""
     rows = [
-        (one.name if first else '', what, str(quantity), _main_source(quantity))
+        (one.name if first else '', what, str(quantity), quantity.main_source)
         for one in found
         for first, (what, quantity) in zip(
             [True, *[False] * len(one.quantities)], one.quantities.items(), strict=False
@@ -159,9 +164,3 @@ def write_results(folder: Path, found: Sequence[Measurement], facts: dict[str, A
         paths.append(folder / f'section_{number:02d}.csv')
         write_table(paths[-1], list(one.profile), np.column_stack(list(one.profile.values())))
     return paths
-
-
-def _main_source(quantity: Quantity) -> str:
-    if not quantity.shares:
-        return ''
-    return max(quantity.shares, key=lambda kind: quantity.shares[kind])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Protocol
@@ -72,6 +73,13 @@ class MeasuringSession:
         self.point = cache(self._point)
         self.ground = cache(self._ground)
         self.ruler = cache(self._ruler)
+
+    def with_picks(self, picks: Iterable[Pick]) -> MeasuringSession:
+        """Return a session of other picks that shares frames, grounds and rulers with this one."""
+        other = copy.copy(self)
+        other.picks = {pick.name: pick for pick in picks}
+        other.point = cache(other._point)  # of these picks  # noqa: SLF001
+        return other
 
     def pick(self, name: str) -> Pick:
         """Return a pick by name; raises a MeasurementError if there is none."""

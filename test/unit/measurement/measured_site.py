@@ -117,8 +117,8 @@ class MeasuredSite:
         return pixels, self.truth[rows[chosen], columns[chosen]]
 
 
-def write_output(site: MeasuredSite, folder: Path) -> Path:
-    """Write what `reconstruct` would of the frame of a site; returns the folder."""
+def write_output(site: MeasuredSite, folder: Path, frames: int = 1) -> Path:
+    """Write an output folder of `reconstruct` with some frames, all alike, and return it."""
     frame = site.frame
     found = Reconstruction(
         frame.left_bgr,
@@ -130,7 +130,8 @@ def write_output(site: MeasuredSite, folder: Path) -> Path:
         thinning=frame.limits,
     )
     results = ResultFolder(folder, {'source': {'alpha': -1.0, 'rectified': False}})
-    add_frame(results, 0, site.calibrated, found)
+    for number in range(frames):
+        add_frame(results, number, site.calibrated, found)
     results.write_summary(finished=True)
     results.close()
     return folder
