@@ -7,7 +7,7 @@ import math
 import re
 import statistics
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult, forma
 from binocular_recon.apps.summary_entries import (
     RIG_ENTRY,
     calibration_entry,
+    chain_entry,
     first_rig_entry,
     frame_entry,
 )
@@ -143,30 +144,54 @@ class ResultFolder:
             What the images of the pair are called.
 
         """
-        index = len(self.frames)
-        result = FrameResult(reconstruction, rig)
-        entry = frame_entry(index, stamp_ns, result, seconds)
+        result = FrameResult.of(reconstruction, rig)
+        rig_entry = self._rig or first_rig_entry(result, reconstruction.range.search)
+        entry = frame_entry(len(self.frames), stamp_ns, result, seconds)
+        entry |= chain_entry(reconstruction)
         if names:
             entry['images'] = list(names)
-        rig_entry = self._rig or first_rig_entry(result)
         calibration = calibration_entry(rig)
         if calibration != rig_entry['calibration']:
             entry['calibration'] = calibration
 
         def completed() -> None:
-            self._rig = rig_entry
-            self.frames.append(entry)
             self.cause = self.cause or reconstruction.findings.cause
             if reconstruction.range.outside_share > MOST_OUTSIDE:
                 self.refused.append(reconstruction.range.warning)
             self._advance(chain_state)
 
-        with complete_files(self.folder, completed) as parts:
+        self.write(result, entry, rig_entry, completed)
+        self._save_progress()
+
+    def write(
+        self,
+        frame: FrameResult,
+        entry: dict[str, Any],
+        rig_entry: dict[str, Any],
+        completed: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Write all files of the next frame or none; raises a FileError if that is not possible.
+
+        Parameters
+        ----------
+        frame : FrameResult
+        entry, rig_entry : dict
+            What the summary says of it, and of the rig if it is the first (`summary_entries`).
+        completed : callable
+            Is called when all files are there.
+
+        """
+
+        def noted() -> None:
+            self._rig = rig_entry
+            self.frames.append(entry)
+            completed()
+
+        with complete_files(self.folder, noted) as parts:
             for spec in self._formats.values():
-                spec.write_frame(parts, index, result)
+                spec.write_frame(parts, len(self.frames), frame)
             if not self.frames:  # the summary of an earlier run does not fit any more
                 self._summary.unlink(missing_ok=True)
-        self._save_progress()
 
     def leave_out(
         self,

@@ -11,7 +11,9 @@ import numpy as np
 from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.point_covariance import sigma_shares
+from binocular_recon.stereo.search_range import SearchRange
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
@@ -21,21 +23,22 @@ def frame_entry(
     index: int, stamp_ns: int | None, frame: FrameResult, seconds: float
 ) -> dict[str, Any]:
     """Return the entry of a frame; only its ``seconds`` differ from run to run."""
-    reconstruction = frame.reconstruction
-    points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
-    entry: dict[str, Any] = {
+    points = np.isfinite(frame.points.cloud.points_xyz).all(axis=-1)
+    return {
         'index': index,
         'stamp_ns': stamp_ns,
         'density': float(np.isfinite(frame.disparity_px).mean()),
-        'matched': reconstruction.filtered.measured_share,
-        'disparity_px': {
-            'min': reconstruction.range.search.min_disparity,
-            'max': reconstruction.range.search.last,
-        },
-        'depth_m': _depth_range(reconstruction.cloud.depth_m),
+        'matched': frame.filtered.measured_share,
+        'depth_m': _depth_range(frame.cloud.depth_m),
         'seconds': round(seconds, 4),
         'points': int(np.count_nonzero(points)),
     }
+
+
+def chain_entry(reconstruction: Reconstruction) -> dict[str, Any]:
+    """Return what the entry of a frame says of the search range and of what is wrong."""
+    searched = reconstruction.range.search
+    entry: dict[str, Any] = {'disparity_px': {'min': searched.min_disparity, 'max': searched.last}}
     findings = reconstruction.findings
     if math.isfinite(findings.rows.median_px):  # enough points were found
         entry['row_offset_px'] = round(findings.rows.median_px, 3)
@@ -46,10 +49,10 @@ def frame_entry(
     return entry
 
 
-def first_rig_entry(frame: FrameResult) -> dict[str, Any]:
+def first_rig_entry(frame: FrameResult, searched: SearchRange) -> dict[str, Any]:
     """Return the `RIG_ENTRY` of the first frame; null for a depth that is infinite."""
     rig = frame.rig
-    depths_m = frame.reconstruction.range.search.depths_m(rig)
+    depths_m = searched.depths_m(rig)
     values = (
         calibration_entry(rig),
         rig.baseline_m,

@@ -44,6 +44,7 @@ COMMANDS = {
         'survey',
         'tie a reconstruction to control points of the site, or level it',
     ),
+    'merge': ('survey', 'average the frames of a rig that stood still into one'),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'filter': (
         'clouds',
