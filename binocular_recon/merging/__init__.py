@@ -11,8 +11,8 @@ from binocular_recon._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from binocular_recon.merging.over_time import TimeAverage, average, sigma_of
-    from binocular_recon.merging.standing_still import ShiftMeter, moved_px
+    from binocular_recon.merging.standing_still import Corners, moved_px
 
-__all__ = ['ShiftMeter', 'TimeAverage', 'average', 'moved_px', 'sigma_of']
+__all__ = ['Corners', 'TimeAverage', 'average', 'moved_px', 'sigma_of']
 
 __getattr__ = lazy_exports(__name__, __file__)

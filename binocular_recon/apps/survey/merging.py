@@ -19,7 +19,7 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.merging.over_time import TimeAverage, average, sigma_of
-from binocular_recon.merging.standing_still import MOST_SHIFT_PX, ShiftMeter, moved_px
+from binocular_recon.merging.standing_still import MOST_SHIFT_PX, Corners, moved_px
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.thinning import PointSet, thin
 from binocular_recon.stereo.triangulation import triangulate
@@ -153,16 +153,16 @@ class _Stack:
         # the bits of pixels that are not measured, of the first frame where that is so
         self._others = np.zeros(self._size, np.uint8)
         self._measured: list[ByteImage] = []
-        meter, shifts = ShiftMeter(), []
+        corners, places = Corners(), []
         for number in range(folder.count):
             validity = folder.validity(number)
             measured = (validity & Validity.MEASURED) > 0
             unknown = (self._others == 0) & ~measured
             self._others[unknown] = validity[unknown]
             self._measured.append(np.packbits(measured, axis=1))
-            shifts.append(meter(folder.left_bgr(number)))
+            places.append(corners.follow(folder.left_bgr(number)))
             self._step()
-        moved = moved_px(np.array(shifts))
+        moved = moved_px(np.array(places))
         self.used = [n for n in range(folder.count) if moved[n] <= MOST_SHIFT_PX]
         self.left_out = [(n, float(moved[n])) for n in range(folder.count) if n not in self.used]
         if len(self.used) < max(2, folder.count / 2):
