@@ -44,7 +44,10 @@ COMMANDS = {
         'survey',
         'tie a reconstruction to control points of the site, or level it',
     ),
-    'merge': ('survey', 'average the frames of a rig that stood still into one'),
+    'merge': (
+        'survey',
+        'make one cloud of many frames of a rig that stood still, or of several stations',
+    ),
     'match': ('clouds', 'compute the dense disparity of one rectified pair of image files'),
     'filter': (
         'clouds',
