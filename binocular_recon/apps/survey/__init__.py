@@ -2,7 +2,8 @@
 """What is done with the output folder of `reconstruct`: measuring in it, tying it to a site.
 
 `measured_folder` reads what measuring needs of such a folder; `measuring` writes tables and
-images of measurements, `georeferencing` the tie to control points or the vertical.
+images of measurements, `georeferencing` the tie to control points or the vertical, `merging` one
+frame of many, `stations` one cloud of several folders.
 """
 
 from typing import TYPE_CHECKING
