@@ -27,6 +27,7 @@ EXTRAS = {
     'lazrs': 'survey',
     'onnxruntime': 'onnx',
     'pye57': 'e57',
+    'small_gicp': 'merge',
     'pyproj': 'survey',
     'viser': 'view',
     'websockets': 'view',

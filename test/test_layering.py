@@ -75,7 +75,7 @@ ROOMS = [
     {'calibration.report'},
     {'calibration.session'},
     {'measurement'},
-    {'measurement.site'},
+    {'measurement.site', 'merging'},
     {'simulation'},
     {'evaluation.peers', 'evaluation.tables', 'evaluation.timing'},
     {'evaluation.accuracy', 'evaluation.speed', 'evaluation.calibration'},

@@ -36,6 +36,7 @@ from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
 from binocular_recon.io.ply import frame_lines
 from binocular_recon.machine import optional_package
+from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.rectification import frame_text
 from binocular_recon.stereo.thinning import PointSet
@@ -44,44 +45,55 @@ from binocular_recon.stereo.triangulation import Cloud
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """A reconstructed frame; its attributes are the parts that a format may need.
+    """A frame; its attributes are the parts that a format may need.
 
     Attributes
     ----------
-    reconstruction : Reconstruction
-        Everything that the chain returned.
     rig : StereoRig
         Calibration of the frame.
+    rectified : StereoRig
+        The rig of the rectified images.
+    filtered : Filtered
+        Disparities, their standard deviation and validity.
+    cloud : Cloud
+        Points and their standard deviations, m; NaN = none.
+    points : PointSet
+        The points to write, with validity and colour: thinned as the options say.
+    left_bgr : (H, W, 3) uint8
+        The rectified left image.
+    right_bgr : (H, W, 3) uint8, optional
+        The right one, as bright as the left one's levels say.
 
     """
 
-    reconstruction: Reconstruction
     rig: StereoRig
+    rectified: StereoRig
+    filtered: Filtered
+    cloud: Cloud
+    points: PointSet
+    left_bgr: ByteImage
+    right_bgr: ByteImage | None = None
+
+    @classmethod
+    def of(cls, made: Reconstruction, rig: StereoRig, rectified: StereoRig) -> FrameResult:
+        """Return the frame that a chain reconstructed."""
+        left_bgr, right_bgr = (to_bgr8(one, made.levels) for one in (made.left, made.right))
+        return cls(rig, rectified, made.filtered, made.cloud, made.points, left_bgr, right_bgr)
 
     @property
     def disparity_px(self) -> FloatImage:
         """Filtered x_left - x_right, (H, W) float32; NaN = none."""
-        return self.reconstruction.filtered.disparity_px
+        return self.filtered.disparity_px
 
     @property
     def sigma_px(self) -> FloatImage:
         """One standard deviation of the disparity, (H, W) float32; NaN = none."""
-        return self.reconstruction.filtered.sigma_px
+        return self.filtered.sigma_px
 
     @property
     def validity(self) -> ByteImage:
         """Bits of `Validity`, (H, W) uint8."""
-        return self.reconstruction.filtered.validity
-
-    @property
-    def cloud(self) -> Cloud:
-        """Points and their standard deviations, m; NaN = none."""
-        return self.reconstruction.cloud
-
-    @property
-    def points(self) -> PointSet:
-        """The points to write, with validity and colour: thinned as the options say."""
-        return self.reconstruction.points
+        return self.filtered.validity
 
     @property
     def frame(self) -> str:
@@ -103,19 +115,9 @@ class FrameResult:
     @property
     def geometry(self) -> DepthGeometry:
         """What `depth_m` is of."""
-        left = self.rig.left
+        left = self.rectified.left
         frame = f'left rectified optical frame: {self.frame}'
         return DepthGeometry(left.size, left.P, self.rig.baseline_m, frame)
-
-    @cached_property
-    def left_bgr(self) -> ByteImage:
-        """The rectified left image, (H, W, 3) uint8."""
-        return to_bgr8(self.reconstruction.left, self.reconstruction.levels)
-
-    @property
-    def right_bgr(self) -> ByteImage:
-        """The rectified right image, (H, W, 3) uint8, as bright as the left one's levels say."""
-        return to_bgr8(self.reconstruction.right, self.reconstruction.levels)
 
 
 class FrameFormat(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
-from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rig_of_entry
+from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rectified_rig
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, FileError, shortened
 from binocular_recon.images import FloatImage
@@ -107,7 +107,7 @@ def stored_frames(folder: Path, placement: Placement | None = None) -> Iterator[
         for frame in summary['frames']:
             entry = frame.get('calibration', summary.get('calibration'))
             if not rigs or rigs[-1][0] != entry:
-                rigs.append((entry, rig_of_entry(entry)))
+                rigs.append((entry, rectified_rig(summary, entry)))
             left, baseline_m = rigs[-1][1].left, rigs[-1][1].baseline_m
             geometry = DepthGeometry(left.size, left.P, baseline_m, summary['frame'])
             yield StoredFrame(folder, frame['index'], geometry, thinned, placement)

@@ -13,10 +13,11 @@ from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError, FileError, shortened
 from binocular_recon.images import FloatImage
-from binocular_recon.io.text_files import numbers, read_json
+from binocular_recon.io.text_files import number, numbers, read_json
 from binocular_recon.stereo.diagnosis import Findings
 from binocular_recon.stereo.point_covariance import sigma_shares
-from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
+from binocular_recon.stereo.rectification import LARGEST_SIDE_PX, Rectifier
+from binocular_recon.stereo.search_range import SearchRange
 
 # What the summary says of the rig: of the first frame.
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
@@ -36,24 +37,17 @@ _KINDS = {
 }
 
 
-def frame_entry(frame: FrameResult, seconds: float) -> dict[str, Any]:
+def frame_entry(frame: FrameResult, searched: SearchRange, seconds: float) -> dict[str, Any]:
     """Return what a frame by itself says; only its ``seconds`` differ from run to run."""
-    reconstruction = frame.reconstruction
-    points = np.isfinite(reconstruction.points.cloud.points_xyz).all(axis=-1)
-    entry: dict[str, Any] = {
+    points = np.isfinite(frame.points.cloud.points_xyz).all(axis=-1)
+    return {
         'density': float(np.isfinite(frame.disparity_px).mean()),
-        'matched': reconstruction.filtered.measured_share,
-        'disparity_px': {
-            'min': reconstruction.range.search.min_disparity,
-            'max': reconstruction.range.search.last,
-        },
-        'depth_m': _depth_range(reconstruction.cloud.depth_m),
+        'matched': frame.filtered.measured_share,
+        'disparity_px': {'min': searched.min_disparity, 'max': searched.last},
+        'depth_m': _depth_range(frame.cloud.depth_m),
         'seconds': round(seconds, 4),
         'points': int(np.count_nonzero(points)),
     }
-    if reconstruction.range.warning:
-        entry['warning'] = reconstruction.range.warning
-    return entry
 
 
 def findings_entry(findings: Findings) -> dict[str, Any]:
@@ -66,14 +60,14 @@ def findings_entry(findings: Findings) -> dict[str, Any]:
     return entry
 
 
-def first_rig_entry(frame: FrameResult) -> dict[str, Any]:
+def first_rig_entry(frame: FrameResult, searched: SearchRange) -> dict[str, Any]:
     """Return the `RIG_ENTRY` of the first frame; null for a depth that is infinite."""
-    rig = frame.rig
-    depths_m = frame.reconstruction.range.search.depths_m(rig)
+    rig, rectified = frame.rig, frame.rectified
+    depths_m = searched.depths_m(rectified)
     values = (
         calibration_entry(rig),
-        rig.baseline_m,
-        rig.focal_px,
+        rectified.baseline_m,
+        rectified.focal_px,
         frame.geometry.frame,
         sigma_shares(rig.covariance is not None),
         [depth if math.isfinite(depth) else None for depth in depths_m],
@@ -159,9 +153,9 @@ def read_summary(folder: Path, remedy: str) -> dict[str, Any]:
                 f'{path} is damaged: {name} must be a {kind.__name__}, got {shortened(value)};'
                 f' {remedy}'
             )
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, dict) or frame.get('index') != number:
-            raise FileError(f'{path} is damaged: frame {number} has another index; {remedy}')
+    for index, frame in enumerate(frames):
+        if not isinstance(frame, dict) or frame.get('index') != index:
+            raise FileError(f'{path} is damaged: frame {index} has another index; {remedy}')
     return content
 
 
@@ -189,6 +183,28 @@ def rig_of_entry(entry: object) -> StereoRig:
     matrix = numbers('covariance', known.get('matrix'), CalibrationError)
     covariance = RigCovariance(calibrated[0], calibrated[1], tuple(names), matrix)
     return StereoRig(left, right, covariance=covariance)
+
+
+def rectified_rig(summary: dict[str, Any], entry: object) -> StereoRig:
+    """Return the rig of the images in an output folder.
+
+    Parameters
+    ----------
+    summary : dict
+        What `read_summary` returned.
+    entry : dict
+        The `calibration_entry` of a frame.
+
+    Raises
+    ------
+    CalibrationError
+        If the entry is not a calibration.
+
+    """
+    rig, source = rig_of_entry(entry), summary.get('source') or {}
+    if source.get('rectified'):
+        return rig
+    return Rectifier(rig, number('alpha', source.get('alpha', -1.0), CalibrationError)).rig
 
 
 def _camera_of(entry: object, side: str, width: int, height: int) -> Camera:

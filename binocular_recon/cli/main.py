@@ -48,6 +48,10 @@ COMMANDS = {
         'survey',
         'tie a reconstruction to control points of the site, or level it',
     ),
+    'merge': (
+        'survey',
+        'make one cloud of many frames of a rig that stood still, or of several stations',
+    ),
     'report': (
         'survey',
         'write a survey as one HTML file for a client: print-ready, the cloud to turn inside',

@@ -42,17 +42,19 @@ def write_pfm(path: Path, disparity_px: FloatImage) -> None:
         file.write(np.ascontiguousarray(values[::-1], '<f4').data)
 
 
-def read_pfm(path: Path) -> FloatImage:
-    """Read a disparity map.
+def read_pfm(path: Path, rows: slice = slice(None)) -> FloatImage:
+    """Read a disparity map, or some rows of it.
 
     Parameters
     ----------
     path : Path
         Grey PFM of either byte order.
+    rows : slice
+        The rows to read, next to each other.
 
     Returns
     -------
-    disparity_px : (H, W) float32
+    disparity_px : (h, W) float32
         x_left - x_right; NaN = none.
 
     Raises
@@ -70,19 +72,23 @@ def read_pfm(path: Path) -> FloatImage:
         with path.open('rb') as file:
             width, height, byte_order = _read_header(path, file)
             # a header may promise any size: nothing is allocated that the file does not hold
-            left = os.fstat(file.fileno()).st_size - file.tell()
-            data = file.read(min(left, 4 * width * height + 1)) if left > 0 else b''
+            begin = file.tell()
+            held = os.fstat(file.fileno()).st_size - begin
+            first, last, _ = rows.indices(height)
+            if held == 4 * width * height:
+                file.seek(begin + 4 * width * (height - last))
+                data = file.read(4 * width * (last - first))
     except OSError as error:
         if isinstance(error, FileError):
             raise
         raise FileError(f'{path} cannot be read: {error.strerror}; give a PFM file') from error
-    if len(data) != 4 * width * height:
-        surplus = 'more' if len(data) > 4 * width * height else f'{len(data)}'
+    if held != 4 * width * height:
+        surplus = 'more' if held > 4 * width * height else f'{max(0, held)}'
         raise FileError(
             f'{path} is damaged: {width}x{height} px need {4 * width * height} bytes,'
             f' it has {surplus}'
         )
-    values = np.frombuffer(data, byte_order + 'f4').reshape(height, width)[::-1]
+    values = np.frombuffer(data, byte_order + 'f4').reshape(last - first, width)[::-1]
     return np.where(np.isfinite(values), values, np.nan).astype(np.float32)
 
 

@@ -22,7 +22,7 @@ from binocular_recon.images import FloatImage, Image
 from binocular_recon.io.files import naming_errors
 from binocular_recon.machine import peak_bytes
 from binocular_recon.stereo.diagnosis import NOTHING, Findings
-from binocular_recon.stereo.pipeline import Chain, warm_up
+from binocular_recon.stereo.pipeline import Chain, Reconstruction, warm_up
 from binocular_recon.stereo.validity import MOST_OUTSIDE
 
 
@@ -165,12 +165,14 @@ def _compute(task: FrameTask, folder: Path) -> FrameOutcome:
     except ImageError as error:
         return FrameOutcome(chain.state(), str(error))
     seconds = time.perf_counter() - begun
-    frame = FrameResult(made, task.rig)
-    return write_frame(frame, seconds, folder, task.index, task.recipe.formats, chain.state())
+    frame = FrameResult.of(made, task.rig, chain.rig)
+    formats = task.recipe.formats
+    return write_frame(frame, made, seconds, folder, task.index, formats, chain.state())
 
 
 def write_frame(
     frame: FrameResult,
+    made: Reconstruction,
     seconds: float,
     folder: Path,
     index: int,
@@ -182,6 +184,8 @@ def write_frame(
     Parameters
     ----------
     frame : FrameResult
+    made : Reconstruction
+        What the chain made.
     seconds : float
         Time that it took.
     folder : Path
@@ -195,11 +199,14 @@ def write_frame(
     """
     for name in formats:
         FRAME_FORMATS[name].write_frame(folder, index, frame)
-    made = frame.reconstruction
+    searched = made.range.search
+    entry = frame_entry(frame, searched, seconds)
+    if made.range.warning:
+        entry['warning'] = made.range.warning
     return FrameOutcome(
         state,
-        entry=frame_entry(frame, seconds),
-        rig_entry=first_rig_entry(frame),
+        entry=entry,
+        rig_entry=first_rig_entry(frame, searched),
         findings=made.findings,
         unmatched=not made.matched.matched_share,
         outside=made.range.warning if made.range.outside_share > MOST_OUTSIDE else '',

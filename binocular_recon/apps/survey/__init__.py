@@ -2,8 +2,9 @@
 """What is done with the output folder of `reconstruct`: measuring in it, tying it to a site.
 
 `measured_folder` reads what measuring needs of such a folder; `measuring` writes tables and
-images of measurements, `georeferencing` the tie to control points or the vertical. `report` puts
-all of it into one page; `simulated_site` makes the input of a survey whose truth is known.
+images of measurements, `georeferencing` the tie to control points or the vertical. `merging` makes
+one frame of many, `stations` one cloud of several folders. `report` puts all of it into one page;
+`simulated_site` makes the input of a survey whose truth is known.
 """
 
 from typing import TYPE_CHECKING

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rig_of_entry
+from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rectified_rig, rig_of_entry
 from binocular_recon.camera import StereoRig
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import (
@@ -19,12 +19,11 @@ from binocular_recon.errors import (
     ConfigError,
     FileError,
 )
-from binocular_recon.images import to_bgr8
+from binocular_recon.images import ByteImage, FloatImage, to_bgr8
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
-from binocular_recon.io.text_files import number
 from binocular_recon.measurement.frame import MeasuredFrame
-from binocular_recon.stereo.rectification import Rectifier, check_size
+from binocular_recon.stereo.rectification import check_size
 
 _REMEDY = 'give the output folder of reconstruct; make it again if it is of an older version'
 
@@ -76,31 +75,59 @@ class MeasuredFolder:
                 if self.count
                 else f'{self.folder} has no frames'
             )
-        rig = self.rig(number)
-        maps = [read_pfm(self._path(number, f'_{name}.pfm')) for name in ('disparity', 'sigma')]
-        validity = read_image_file(self._path(number, '_validity.png'))
-        left = read_image_file(self._path(number, '_left.png'))
-        for name, image in zip(
-            ('disparity', 'sigma', 'validity', 'left'), (*maps, validity, left), strict=True
-        ):
-            check_size(image, rig.left.size, name)
         return MeasuredFrame(
-            rig, maps[0], maps[1], np.asarray(validity, np.uint8), to_bgr8(left), f'{number}',
-            self._limits,
+            self.rig(number), self.disparity_px(number), self.sigma_px(number),
+            self.validity(number), self.left_bgr(number), f'{number}', self.limits,
         )  # fmt: skip
+
+    def disparity_px(self, number: int, rows: slice = slice(None)) -> FloatImage:
+        """Return the disparities of a frame, or of some of its rows; NaN = none."""
+        return self._map(number, 'disparity', rows)
+
+    def sigma_px(self, number: int, rows: slice = slice(None)) -> FloatImage:
+        """Return one standard deviation of each of them."""
+        return self._map(number, 'sigma', rows)
+
+    def validity(self, number: int) -> ByteImage:
+        """Return the bits of `Validity` of a frame, (H, W) uint8."""
+        validity = read_image_file(self._path(number, '_validity.png'))
+        check_size(validity, self.rig(number).left.size, 'validity')
+        return np.asarray(validity, np.uint8)
+
+    def left_bgr(self, number: int) -> ByteImage:
+        """Return the rectified left image of a frame, (H, W, 3) uint8."""
+        left = read_image_file(self._path(number, '_left.png'))
+        check_size(left, self.rig(number).left.size, 'left')
+        return to_bgr8(left)
+
+    def _map(self, number: int, name: str, rows: slice) -> FloatImage:
+        width, height = self.rig(number).left.size
+        found = read_pfm(self._path(number, f'_{name}.pfm'), rows)
+        first, last, _ = rows.indices(height)
+        check_size(found, (width, last - first), name)
+        return found
 
     def rig(self, number: int = 0) -> StereoRig:
         """Return the rectified rig of a frame, with the covariance of its calibration."""
-        entry = self.summary['frames'][number].get('calibration', self.summary.get('calibration'))
+        entry = self._calibration(number)
         for known, rig in self._rigs:
             if known == entry:
                 return rig
         try:
-            rig = self._rectified(rig_of_entry(entry))
+            rig = rectified_rig(self.summary, entry)
         except BinocularReconError as error:
             raise CalibrationError(f'{self.folder / SUMMARY}: {error}; {_REMEDY}') from error
         self._rigs.append((entry, rig))
         return rig
+
+    def raw_rig(self, number: int = 0) -> StereoRig:
+        """Return the rig of a frame as it was calibrated, before rectification."""
+        self.rig(number)  # names the file if it cannot be read
+        return rig_of_entry(self._calibration(number))
+
+    def _calibration(self, number: int) -> object:
+        """Return what the summary says of a frame's calibration."""
+        return self.summary['frames'][number].get('calibration', self.summary.get('calibration'))
 
     def _path(self, index: int, ending: str) -> Path:
         path = self.folder / f'{index:06d}{ending}'
@@ -108,15 +135,8 @@ class MeasuredFolder:
             raise FileError(f'{path} is missing, which measuring needs; {_REMEDY}')
         return path
 
-    def _rectified(self, rig: StereoRig) -> StereoRig:
-        """Return the rig of the images in the folder."""
-        source = self.summary.get('source') or {}
-        if source.get('rectified'):
-            return rig
-        return Rectifier(rig, number('alpha', source.get('alpha', -1.0), CalibrationError)).rig
-
     @cached_property
-    def _limits(self) -> CloudConfig:
+    def limits(self) -> CloudConfig:
         """Which points the cloud holds, by the options of the run."""
         given = (self.summary.get('options') or {}).get('cloud') or {}
         known = {field.name for field in dataclasses.fields(CloudConfig)}

@@ -62,6 +62,8 @@ class PointTable:
         What the frame of the camera is.
     placement : Placement, optional
         Puts the points into the frame of a site.
+    system : str
+        Coordinate reference system of the vertices as they are; empty for a local one.
 
     """
 
@@ -69,6 +71,7 @@ class PointTable:
     shares: str
     frame: tuple[str, ...] = (CAMERA_FRAME,)
     placement: Placement | None = None
+    system: str = ''
 
     @classmethod
     def of_cloud(
@@ -104,7 +107,7 @@ class PointTable:
     @property
     def crs(self) -> str:
         """Coordinate reference system of the points; empty for a local one."""
-        return self.placement.crs if self.placement else ''
+        return self.placement.crs if self.placement else self.system
 
     @property
     def frame_lines(self) -> tuple[str, ...]:

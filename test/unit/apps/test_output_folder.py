@@ -81,7 +81,7 @@ def test_rows_that_too_few_points_show_are_no_number_of_the_summary(tmp_path: Pa
 def test_every_format_needs_parts_that_a_frame_has() -> None:
     endings = [spec.ending for spec in FRAME_FORMATS.values()]
     assert len(set(endings)) == len(endings)
-    frame = FrameResult(reconstruction(), RIG)
+    frame = FrameResult.of(reconstruction(), RIG, RIG)
     for spec in FRAME_FORMATS.values():
         assert all(hasattr(frame, name) for name in spec.needs)
 
