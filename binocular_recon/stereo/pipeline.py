@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 
 from binocular_recon.camera import Camera, StereoRig
@@ -199,12 +200,13 @@ def warm_up(config: ChainConfig) -> None:
     The first call after an installation takes up to half a minute, later ones a second.
     """
     noise = np.random.default_rng(0).integers(0, 256, (64, 96), np.uint8)
+    texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
     P = np.array([[100.0, 0, 48, 0], [0, 100, 32, 0], [0, 0, 1, 0]])
     right = P + np.array([[0, 0, 0, -50.0], [0, 0, 0, 0], [0, 0, 0, 0]])
     rig = StereoRig(*(Camera(96, 64, P[:, :3], np.zeros(5), np.eye(3), p) for p in (P, right)))
     search = SearchRange(-4, 16)  # identical images have disparity 0
     config = replace(config, match=search.applied_to(config.match))
-    for image in (noise, np.stack([noise] * 3, axis=-1)):
+    for image in (texture, np.stack([texture] * 3, axis=-1)):
         Chain(rig, config, rectify=False)(image, image)
 
 

@@ -117,7 +117,7 @@ def surveyed(site: MeasuredSite, bare: Path, tmp_path_factory: pytest.TempPathFa
         {'stamp_ns': 5, 'images': ['a_3.png', 'b_3.png'], 'reason': f'it is dark {EVIL}'}
     ]
     summary['unpaired'], summary['images_read'], summary['damage'] = 3, EVIL, ['torn at 17 s']
-    summary['frames'][0] |= {'index': EVIL, 'warning': 'the range is small'}
+    summary['frames'][0] |= {'note': EVIL, 'warning': 'the range is small'}
     (folder / 'summary.json').write_text(json.dumps(summary))
     shutil.copy(folder / '000000_left.png', folder / '000000_right.png')
     return folder
@@ -271,7 +271,7 @@ def test_a_calibration_that_was_replaced_is_not_stated(surveyed: Path) -> None:
         (TIE_FILE, '{', 'is not valid JSON'),
         ('check.json', '{"date": 1}', 'not as our commands write it'),
         ('summary.json', '{}', 'is not the summary of frames'),
-        ('summary.json', '{"frames": [3]}', 'is not the summary of frames'),
+        ('summary.json', '{"frames": [3]}', 'is damaged: frame 0 has another index'),
         (TIE_FILE, '{"axes": "ENH", "points": 1}', f'{TIE_FILE} in '),
         ('000000.ply', 'ply', 'is not a cloud of this program'),
     ],
