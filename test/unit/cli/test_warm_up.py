@@ -18,7 +18,7 @@ def test_warm_up_compiles_for_the_presets_that_are_named(
     monkeypatch.setattr(kernels, 'warm_up', made.append)
     monkeypatch.setattr(_kernel_cache, '_problems', [])
     assert main(['warm-up', '--presets', 'fast']) == 0
-    assert {config.match.correlation_window_size for config in made} == {7}
+    assert all(config.match.coarse_to_fine for config in made)
     assert {config.filter.wls_guide for config in made} == {'left', 'disparity'}
     said = capsys.readouterr()
     assert said.err == 'fast: ready\ncalibration: ready\n'
