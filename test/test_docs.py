@@ -147,8 +147,8 @@ def test_named_files_and_targets_exist(path: Path) -> None:
 
 # Folders that a command or a tool makes.
 OUTPUTS = {
-    'OUTPUT/export/', 'api/', 'bag/', 'captures/', 'captures/dropped/', 'merged/', 'out/', 'out/fuzz/',
-    'site/', 'stationA/', 'stationB/', 'stationC/',
+    'OUTPUT/export/', 'api/', 'bag/', 'captures/', 'captures/dropped/', 'merged/',
+    'out/', 'out/fuzz/', 'site/', 'stationA/', 'stationB/', 'stationC/',
     'rig/', 'rig/captures/dropped/', 'rig/previous/',
 }  # fmt: skip
 
