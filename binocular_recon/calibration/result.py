@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +25,7 @@ from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.camera import INTRINSICS, FloatArray, StereoRig
 from binocular_recon.inputs.common_size import CommonSize
+from binocular_recon.machine import now_text
 
 # Distances that calibration.json states the depth sigma for, m.
 DEPTHS_M = (10.0, 15.0, 20.0)
@@ -104,6 +105,8 @@ class CalibrationResult:
         What the user should know before relying on the result.
     advice : tuple of Advice
         Boards to capture next, best first.
+    date : str
+        When it was made (ISO 8601).
 
     """
 
@@ -120,6 +123,7 @@ class CalibrationResult:
     rejected: tuple[Rejected, ...]
     warnings: tuple[str, ...]
     advice: tuple[Advice, ...]
+    date: str = field(default_factory=now_text)
 
     @property
     def calibration(self) -> StereoCalibration:

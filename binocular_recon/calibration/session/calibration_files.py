@@ -24,7 +24,6 @@ from binocular_recon.io.files import (
     remove_abandoned,
     write_json,
 )
-from binocular_recon.machine import now_text
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
 PREVIOUS = 'previous'
@@ -65,12 +64,11 @@ def save_calibration(
     """
 
     def write(partial: Path) -> None:
-        date = now_text()
         write_rig(partial, result.rig, names)
-        write_json(partial / 'calibration.json', {'date': date, **result.to_mapping()})
+        write_json(partial / 'calibration.json', {'date': result.date, **result.to_mapping()})
         with complete_file(partial / 'report.html') as file:
             images = draw_boards(result, captures) if captures else ()
-            file.write(render_report(result, images, date).encode())
+            file.write(render_report(result, images, result.date).encode())
 
     _replace(folder, write)
     return tuple(folder / name for name in FILES)
