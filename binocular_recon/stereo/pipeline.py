@@ -183,8 +183,7 @@ class Chain:
 
     def search(self, disparities: SearchRange) -> None:
         """Search these disparities from now on, instead of those in the options."""
-        match_config = disparities.applied_to(self.config.match)
-        self.config = replace(self.config, match=match_config)
+        self.config = replace(self.config, match=disparities.applied_to(self.config.match))
 
     def _rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         if self._rectifier:
@@ -199,15 +198,14 @@ def warm_up(config: ChainConfig) -> None:
 
     The first call after an installation takes up to half a minute, later ones a second.
     """
-    noise = np.random.default_rng(0).integers(0, 256, (64, 96), np.uint8)
-    texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    grain = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)
+    texture = cv2.GaussianBlur(grain, (0, 0), 1.5)
     P = np.array([[100.0, 0, 48, 0], [0, 100, 32, 0], [0, 0, 1, 0]])
     right = P + np.array([[0, 0, 0, -50.0], [0, 0, 0, 0], [0, 0, 0, 0]])
     rig = StereoRig(*(Camera(96, 64, P[:, :3], np.zeros(5), np.eye(3), p) for p in (P, right)))
-    search = SearchRange(-4, 16)  # identical images have disparity 0
-    config = replace(config, match=search.applied_to(config.match))
-    for image in (texture, np.stack([texture] * 3, axis=-1)):
-        Chain(rig, config, rectify=False)(image, image)
+    config = replace(config, match=SearchRange(-4, 16).applied_to(config.match))
+    for image in (texture[..., 0], texture):
+        Chain(rig, config, rectify=False)(image, image)  # of disparity 0
 
 
 @dataclass(frozen=True, eq=False)
