@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -23,6 +24,8 @@ _SPAWN = multiprocessing.get_context('spawn')
 _MIB = 1 << 20
 # So many processes in a row that die before they work: none will.
 _MOST_UNSTARTED = 4
+# How long the status of a dead process may be unknown, s.
+_STATUS_S = 1.0
 
 
 class LocalProcesses:
@@ -154,6 +157,9 @@ class _Process:
 
     def _death(self) -> _DiedError:
         self.join()
+        end_s = time.monotonic() + _STATUS_S
+        while self._process.exitcode is None and time.monotonic() < end_s:
+            time.sleep(0.01)  # another thread has taken the status and is about to note it
         status = self._process.exitcode or 0
         if status >= 0:
             how = f'ended with status {status}'

@@ -166,7 +166,8 @@ def test_detail_finer_than_a_rectified_pixel_is_averaged(scale: float) -> None:
     assert np.std(cv2.remap(stripes, map_x, map_y, cv2.INTER_LINEAR)[inside]) > 60
     shifted, _ = rectifier(ramp, ramp)
     true = 2000 + 20 * map_x + 3 * map_y
-    assert np.abs(shifted - true)[inside].max() < 0.05 * 20
+    # OpenCV 4 rounds to 1/32 px of the means
+    assert np.abs(shifted - true)[inside].max() < 0.07 * 20
 
 
 @pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.float32])

@@ -26,7 +26,7 @@ def facts(sources: ReportSources) -> str:
         ('Rig', _rig(sources)),
         ('Coordinates', _coordinates(sources)),
         ('Standard deviations hold', text(summary.get('sigma', 'matching'))),
-        ('Output folder', text(sources.folder.folder.resolve())),
+        ('Output folder', text(sources.folder.folder)),
     ]
     return section('The survey', 'What was surveyed, and with what.', _words(rows))
 
