@@ -28,3 +28,12 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
     matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
     matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
     return matrix
+
+
+def similarity_derivatives(places: FloatArray) -> FloatArray:
+    """Return how places (n, 3) about a pivot move with a transformation of it, (n, 3, 7).
+
+    With a small turn (rad), a shift and the relative scale.
+    """
+    unit = np.broadcast_to(np.eye(3), (len(places), 3, 3))
+    return np.concatenate([-cross_matrix(places), unit, places[..., None]], axis=-1)

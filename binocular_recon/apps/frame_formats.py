@@ -61,8 +61,8 @@ class FrameResult:
         The points to write, with validity and colour: thinned as the options say.
     left_bgr : (H, W, 3) uint8
         The rectified left image.
-    right_bgr : (H, W, 3) uint8, optional
-        The right one, as bright as the left one's levels say.
+    made : Reconstruction, optional
+        What a chain made it of.
 
     """
 
@@ -72,13 +72,19 @@ class FrameResult:
     cloud: Cloud
     points: PointSet
     left_bgr: ByteImage
-    right_bgr: ByteImage | None = None
+    made: Reconstruction | None = None
 
     @classmethod
     def of(cls, made: Reconstruction, rig: StereoRig, rectified: StereoRig) -> FrameResult:
         """Return the frame that a chain reconstructed."""
-        left_bgr, right_bgr = (to_bgr8(one, made.levels) for one in (made.left, made.right))
-        return cls(rig, rectified, made.filtered, made.cloud, made.points, left_bgr, right_bgr)
+        left_bgr = to_bgr8(made.left, made.levels)
+        return cls(rig, rectified, made.filtered, made.cloud, made.points, left_bgr, made)
+
+    @property
+    def right_bgr(self) -> ByteImage:
+        """The rectified right image, (H, W, 3) uint8, as bright as the left one's levels say."""
+        assert self.made is not None  # a frame of a pair
+        return to_bgr8(self.made.right, self.made.levels)
 
     @property
     def disparity_px(self) -> FloatImage:

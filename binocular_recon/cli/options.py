@@ -51,6 +51,19 @@ def add_output_option(
     )
 
 
+def add_pick_sigma_option(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--pick-sigma PX``."""
+    from binocular_recon.measurement.snapping import PICK_SIGMA_PX
+
+    parser.add_argument(
+        '--pick-sigma',
+        type=positive(float),
+        default=PICK_SIGMA_PX,
+        metavar='PX',
+        help='one standard deviation of a pick on each axis, px (%(default)s)',
+    )
+
+
 def add_comparison_options(parser: argparse.ArgumentParser, *, repeat: int) -> None:
     """Declare the options of a comparison with other programs."""
     add_output_option(parser, 'out')

@@ -20,7 +20,7 @@ from binocular_recon.errors import MeasurementError
 from binocular_recon.images import Mask
 from binocular_recon.machine import optional_package
 from binocular_recon.measurement.frame import MeasuredFrame
-from binocular_recon.rotations import cross_matrix
+from binocular_recon.rotations import similarity_derivatives
 
 # A match of features is clear if the second best is farther by this factor.
 _RATIO = 0.8
@@ -193,7 +193,7 @@ def _fit(
     weight = 1 / sigma**2
     R, t = _rigid(a, b, weight)
     turned = a @ R.T + t - b.mean(axis=0)
-    design = np.concatenate([-cross_matrix(turned), np.tile(np.eye(3), (len(a), 1, 1))], axis=-1)
+    design = similarity_derivatives(turned)[..., :6]  # without scale
     normal = np.einsum('nij,n,nik->jk', design, weight, design)
     off = a @ R.T + t - b
     freedom = max(1, 3 * len(a) - 6)

@@ -25,9 +25,9 @@ class _Cells:
     ----------
     keys : (N, 4) int64
         Cube along each axis, and 0 for measured points, 1 for others.
-    sums : (N, 12) float64
-        Of the weight, of weight times coordinates within the cube, colours and sigmas, of 1, and
-        of the squares of the coordinates' differences, by weight.
+    sums : (N, 10) or (N, 13) float64
+        Of the weight, and of weight times coordinates within the cube, colours and sigmas; of
+        stations also of weight times the squares of these coordinates.
     bits : (N,) uint8
         All bits of their validity.
 
@@ -62,9 +62,7 @@ def joined(parts: Iterable[_Cells]) -> _Cells:
     keys = np.concatenate([part.keys for part in listed])
     order = np.lexsort(keys[:, ::-1].T)  # other points of a cube follow its measured ones
     keys = keys[order]
-    starts = np.flatnonzero(
-        np.concatenate([[True], np.any(keys[1:] != keys[:-1], axis=1)])[: len(keys)]
-    )
+    starts = np.flatnonzero(~_repeated(keys))
     sums = np.concatenate([part.sums for part in listed])[order]
     bits = np.concatenate([part.bits for part in listed])[order]
     if not len(starts):
@@ -110,12 +108,12 @@ class VoxelCloud:
         squares = weight[:, None] * means[:, :3] ** 2
         sums = np.column_stack([weight, weight[:, None] * means, squares])
         self._stations.append(_Cells(found.keys, sums, found.bits))
-        return int(np.count_nonzero(~_repeated(found.keys)))
+        return int(np.count_nonzero(~_repeated(found.keys[:, :3])))
 
     def vertices(self) -> Vertices:
         """Return the points of all stations, laid out as in a PLY file, double precision."""
         cells = joined(self._stations)
-        kept = ~_repeated(cells.keys)
+        kept = ~_repeated(cells.keys[:, :3])
         keys, sums, bits = cells.keys[kept], cells.sums[kept], cells.bits[kept]
         means = sums[:, 1:] / sums[:, :1]
         spread = np.sqrt(np.maximum(means[:, 9:] - means[:, :3] ** 2, 0))
@@ -131,7 +129,7 @@ class VoxelCloud:
 
 
 def _repeated(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Tell which of sorted keys, (N, 4), are of the same cube as the one before."""
+    """Tell which of sorted keys, (N, k), are the same as the one before."""
     same = np.zeros(len(keys), bool)
-    same[1:] = np.all(keys[1:, :3] == keys[:-1, :3], axis=1)
+    same[1:] = np.all(keys[1:] == keys[:-1], axis=1)
     return same

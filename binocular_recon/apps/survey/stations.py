@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from binocular_recon.io.ply import CAMERA_FRAME
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.merging.overlap import Pose, find_pose, surface_distances
 from binocular_recon.merging.voxels import VoxelCloud
+from binocular_recon.rotations import cross_matrix
 
 # What is written, by the names of frame formats.
 CLOUD_FORMATS = {name: spec for name, spec in FRAME_FORMATS.items() if spec.needs == ('table',)}
@@ -52,7 +54,7 @@ class Station:
     placement: Placement
     pairs: int | None = None
 
-    @property
+    @cached_property
     def table(self) -> PointTable:
         """Its points in the common frame."""
         return next(stored_frames(self.folder.folder, self.placement)).table
@@ -121,10 +123,12 @@ def merge_stations(
     claim = ClaimedFolder(output)
     try:
         cloud = VoxelCloud(voxel_size_m)
+        surfaces = [station.sample(_SURFACE)[0] for station in stations]
         entries = []
         for number, station in enumerate(stations):
             cubes = cloud.add(station.table.chunks())
-            entries.append(_entry(station, number, stations, voxel_size_m) | {'voxels': cubes})
+            others = np.concatenate(surfaces[:number] + surfaces[number + 1 :])
+            entries.append(_entry(station, others, voxel_size_m) | {'voxels': cubes})
             report(_line(entries[-1]))
         system = stations[0].placement.crs
         tied = stations[1].pairs is None
@@ -223,21 +227,16 @@ def _chained(pose: Pose, other: Placement) -> Placement:
         # the other station turns about its own centre, and takes this one with it
         arm = centre - other.centre_m
         move = np.eye(7)
-        move[3:6, :3] = np.array(
-            [[0, arm[2], -arm[1]], [-arm[2], 0, arm[0]], [arm[1], -arm[0], 0]]
-        )
+        move[3:6, :3] = -cross_matrix(arm)
         covariance += move @ other.covariance @ move.T
     return Placement(R, other.points(pose.t[None])[0], 1.0, covariance, centre)
 
 
-def _entry(
-    station: Station, number: int, stations: Sequence[Station], voxel_size_m: float
-) -> dict[str, Any]:
-    """Return what ``stations.json`` says of a station."""
+def _entry(station: Station, others: FloatArray, voxel_size_m: float) -> dict[str, Any]:
+    """Return what ``stations.json`` says of a station, and of its distance to the others."""
     points, sigmas = station.sample(_SAMPLE)
-    others = [one.sample(_SURFACE)[0] for k, one in enumerate(stations) if k != number]
     reach_m = _REACH * max(voxel_size_m, float(np.median(sigmas)) if len(sigmas) else 0.0)
-    distances = surface_distances(points, np.concatenate(others), reach_m)
+    distances = surface_distances(points, others, reach_m)
     seen = np.isfinite(distances)
     entry: dict[str, Any] = {
         'folder': str(station.folder.folder),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import names, non_negative, positive
+from binocular_recon.cli.options import add_pick_sigma_option, names, non_negative, positive
 from binocular_recon.errors import ConfigError, MeasurementError, plain_text
 from binocular_recon.measurement.picks import Pick, read_picks
 from binocular_recon.measurement.site.control_points import (
@@ -16,7 +16,6 @@ from binocular_recon.measurement.site.control_points import (
 )
 from binocular_recon.measurement.site.levelling import TILT_SIGMA_RAD
 from binocular_recon.measurement.site.tie import TIE_FILE
-from binocular_recon.measurement.snapping import PICK_SIGMA_PX
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,10 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--frame', type=non_negative, default=0, metavar='N',
         help='frame in which --level ground finds the ground (%(default)s)',
     )  # fmt: skip
-    parser.add_argument(
-        '--pick-sigma', type=positive(float), default=PICK_SIGMA_PX, metavar='PX',
-        help='one standard deviation of a pick on each axis, px (%(default)s)',
-    )  # fmt: skip
+    add_pick_sigma_option(parser)
 
 
 def run(args: argparse.Namespace) -> None:

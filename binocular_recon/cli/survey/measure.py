@@ -6,11 +6,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import add_output_option, note, positive
+from binocular_recon.cli.options import add_output_option, add_pick_sigma_option, note
 from binocular_recon.errors import MeasurementError, plain_text
 from binocular_recon.measurement.kinds import KINDS
 from binocular_recon.measurement.picks import Request, read_picks, write_picks
-from binocular_recon.measurement.snapping import PICK_SIGMA_PX
 
 _WITHOUT_COVARIANCE = (
     'sigma leaves out the calibration: its covariance is not known; reconstruct with'
@@ -33,10 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ' default those of the YAML file; else all points, and the distance of each to the next.'
         f' Kinds: {kinds}',
     )  # fmt: skip
-    parser.add_argument(
-        '--pick-sigma', type=positive(float), default=PICK_SIGMA_PX, metavar='PX',
-        help='one standard deviation of a pick on each axis, px (%(default)s)',
-    )  # fmt: skip
+    add_pick_sigma_option(parser)
     add_output_option(
         parser,
         content='measurements.json, measurements.csv, measured_NNNNNN.png and picks.csv (the'

@@ -9,8 +9,7 @@ import threading
 import webbrowser
 from pathlib import Path
 
-from binocular_recon.cli.options import non_negative, note, positive
-from binocular_recon.measurement.snapping import PICK_SIGMA_PX
+from binocular_recon.cli.options import add_pick_sigma_option, non_negative, note, positive
 from binocular_recon.viewer.coloured_frame import MOST_POINTS
 
 
@@ -34,10 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='the shown cloud is thinned to about this number; measuring uses every pixel'
         ' (%(default)s)',
     )  # fmt: skip
-    parser.add_argument(
-        '--pick-sigma', type=positive(float), default=PICK_SIGMA_PX, metavar='PX',
-        help='one standard deviation of a pick on each axis, px (%(default)s)',
-    )  # fmt: skip
+    add_pick_sigma_option(parser)
 
 
 def run(args: argparse.Namespace) -> None:

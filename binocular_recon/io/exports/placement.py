@@ -15,7 +15,7 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, shortened
 from binocular_recon.images import FloatImage
 from binocular_recon.io.text_files import number, numbers, read_json, whole_number
-from binocular_recon.rotations import cross_matrix
+from binocular_recon.rotations import similarity_derivatives
 
 _REMEDY = 'georeference again, or delete it to stay in the frame of the rig'
 # Small turn, shift and relative scale.
@@ -105,8 +105,7 @@ class Placement:
                 variance += across[:, None] * turned[:, axis] ** 2
         if self.covariance is not None and self.centre_m is not None:
             arms = self.points(points_xyz) - self.centre_m
-            unit = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
-            effect = np.concatenate([-cross_matrix(arms), unit, arms[:, :, None]], axis=-1)
+            effect = similarity_derivatives(arms)
             variance += np.einsum('nip,pq,niq->ni', effect, self.covariance, effect, optimize=True)
         sigma = np.sqrt(variance).astype(np.float32)
         return {name: sigma[:, axis] for axis, name in enumerate(_SIGMAS)}

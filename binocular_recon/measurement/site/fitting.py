@@ -19,7 +19,7 @@ from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.site.control_points import ControlPoint
 from binocular_recon.measurement.site.tie import PARAMETERS, SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined
-from binocular_recon.rotations import cross_matrix, rotation
+from binocular_recon.rotations import rotation, similarity_derivatives
 
 LEAST_POINTS = 3
 _ITERATIONS = 20
@@ -105,8 +105,7 @@ class Problem:
     @staticmethod
     def design(turned: FloatArray) -> FloatArray:
         """Return how places (n, 3) about the pivot move with the parameters, (3 n, 7)."""
-        parts = [-cross_matrix(turned), np.tile(np.eye(3), (len(turned), 1, 1)), turned[..., None]]
-        return np.concatenate(parts, axis=-1).reshape(-1, PARAMETERS)
+        return similarity_derivatives(turned).reshape(-1, PARAMETERS)
 
     def off(self, fit: Fit, used: Sequence[int]) -> FloatArray:
         """Return given minus transformed places, (n, 3) m."""
