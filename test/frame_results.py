@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ from typing import Any
 from binocular_recon.apps.batch.frame_task import write_frame
 from binocular_recon.apps.frame_formats import FrameResult
 from binocular_recon.apps.output_folder import ResultFolder
+from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.camera import StereoRig
+from binocular_recon.config import ChainConfig
 from binocular_recon.io.files import part_folder
 from binocular_recon.stereo.pipeline import Reconstruction
 
@@ -27,6 +30,17 @@ def add_frame(
         frame = FrameResult.of(reconstruction, rig, rig)
         outcome = write_frame(frame, reconstruction, seconds, parts, 0, results.formats, {})
         results.add(parts, outcome, reconstruction.findings, rig, stamp_ns)
+
+
+def store_frames(folder: Path, rig: StereoRig, frames: list[Reconstruction]) -> MeasuredFolder:
+    """Write an output folder with the default options, and open it; stamps count from 1000 ns."""
+    options = dataclasses.asdict(ChainConfig())
+    results = ResultFolder(folder, {'source': {'rectified': True}, 'options': options})
+    for number, frame in enumerate(frames):
+        add_frame(results, 1000 + number, rig, frame)
+    results.write_summary(finished=True)
+    results.close()
+    return MeasuredFolder(folder)
 
 
 def contents(output: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.apps.survey.merging import merge_over_time
 from binocular_recon.camera import Camera, FloatArray, StereoRig
@@ -27,7 +25,7 @@ from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
-from test.frame_results import add_frame
+from test.frame_results import store_frames
 
 SIZE = WIDTH, HEIGHT = 128, 96
 P = np.array([[150.0, 0, 64, 0], [0, 150, 48, 0], [0, 0, 1, 0]])
@@ -75,14 +73,7 @@ class Scene:
 
 
 def stored(folder: Path, frames: list[Reconstruction]) -> MeasuredFolder:
-    """Write frames as `reconstruct` does."""
-    options = dataclasses.asdict(ChainConfig())
-    results = ResultFolder(folder, {'source': {'rectified': True}, 'options': options})
-    for number, frame in enumerate(frames):
-        add_frame(results, 1000 + number, RIG, frame)
-    results.write_summary(finished=True)
-    results.close()
-    return MeasuredFolder(folder)
+    return store_frames(folder, RIG, frames)
 
 
 def rms(values: FloatArray | FloatImage) -> float:

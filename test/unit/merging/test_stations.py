@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -12,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from binocular_recon.apps.output_folder import ResultFolder
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.apps.survey.stations import merge_stations
 from binocular_recon.camera import Camera, FloatArray, StereoRig
@@ -33,7 +31,7 @@ from binocular_recon.stereo.pipeline import Reconstruction
 from binocular_recon.stereo.search_range import RangeChoice, SearchRange
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
-from test.frame_results import add_frame
+from test.frame_results import store_frames
 
 WIDTH, HEIGHT, FOCAL, BASELINE_M, NOISE_PX = 240, 180, 210.0, 1.0, 0.06
 P = np.array([[FOCAL, 0, 120, 0], [0, FOCAL, 90, 0], [0, 0, 1, 0]])
@@ -105,14 +103,7 @@ class Room:
 
 
 def stored(folder: Path, frames: list[Reconstruction]) -> MeasuredFolder:
-    """Write frames as `reconstruct` does."""
-    options = dataclasses.asdict(ChainConfig())
-    results = ResultFolder(folder, {'source': {'rectified': True}, 'options': options})
-    for frame in frames:
-        add_frame(results, 0, RIG, frame)
-    results.write_summary(finished=True)
-    results.close()
-    return MeasuredFolder(folder)
+    return store_frames(folder, RIG, frames)
 
 
 @pytest.fixture(scope='module')
