@@ -22,17 +22,24 @@ class Terminated(KeyboardInterrupt):
 
 
 _ERRORS = {signal.SIGINT: KeyboardInterrupt, signal.SIGTERM: Terminated}
+_raised: list[type[KeyboardInterrupt]] = []
 
 
 def raise_signals() -> None:
     """Let SIGINT and SIGTERM raise in the main thread, unless the process was told to ignore them.
 
     An exception in a destructor or a callback of C code is lost; the signal is then raised again.
+    Extensions may turn it into another exception: ask `raised`.
     """
     for number, error in _ERRORS.items():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, functools.partial(_raise, error))
     sys.unraisablehook = _raise_again
+
+
+def raised() -> type[KeyboardInterrupt] | None:
+    """Return what the last signal raised, whatever became of it; None before the first."""
+    return _raised[-1] if _raised else None
 
 
 def leave_on_signals(end: Callable[[bool], object]) -> None:
@@ -61,6 +68,7 @@ def leave(status: int) -> None:
 
 
 def _raise(error: type[KeyboardInterrupt], _number: int, _frame: object) -> None:
+    _raised.append(error)
     raise error
 
 

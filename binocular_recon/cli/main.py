@@ -17,6 +17,7 @@ from binocular_recon.apps.signals import (
     leave,
     leave_on_signals,
     raise_signals,
+    raised,
 )
 from binocular_recon.errors import BinocularReconError, ConfigError, plain_text
 
@@ -120,6 +121,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if of_process:
             ignore_signals()
         status = _say_interrupted(program, isinstance(interrupt, Terminated), str(interrupt))
+    except Exception:  # an extension may turn the interrupt into an error of its own
+        interrupted = raised()
+        if interrupted is None:
+            raise
+        ignore_signals()
+        status = _say_interrupted(program, interrupted is Terminated)
     if of_process:
         leave(status)
     return status
@@ -140,6 +147,8 @@ def _run(args: argparse.Namespace, program: str) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PROBLEM
     except (BinocularReconError, OSError, MemoryError) as error:
+        if raised():
+            raise
         message = plain_text(' '.join(str(error).split()))
         if isinstance(error, MemoryError):
             message = f'{message}; choose a smaller disparity_range or smaller images'

@@ -72,3 +72,36 @@ def test_interrupted_while_it_starts(
         process.kill()
     assert 'Traceback' not in log.read_text()
     assert 'kernels ready' not in log.read_text()
+
+
+# An interrupt within C code, as rclpy's conversion of a message, may come out as another error.
+CHANGES_INTERRUPT = """
+import os, signal, sys
+from rclpy.node import Node
+from binocular_recon.nodes.runtime.process import run_node
+
+class Interrupted(Node):
+    def __init__(self):
+        super().__init__('interrupted')
+        self.create_timer(0.01, self.interrupt)
+
+    def interrupt(self):
+        try:
+            if NUMBER:
+                os.kill(os.getpid(), NUMBER)
+        except KeyboardInterrupt:
+            pass
+        raise ERROR('unable to convert')
+
+sys.exit(run_node(Interrupted))
+"""
+
+
+@pytest.mark.parametrize('error', ['RuntimeError', 'SystemError'])
+@pytest.mark.parametrize('number', [0, signal.SIGINT, signal.SIGTERM])
+def test_interrupt_that_comes_as_another_error(number: int, error: str) -> None:
+    program = CHANGES_INTERRUPT.replace('NUMBER', str(int(number))).replace('ERROR', error)
+    command = [sys.executable, '-c', program]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == (0 if number else 1), run.stderr
+    assert ('unable to convert' in run.stderr) == (not number), run.stderr

@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from binocular_recon._kernel_cache import compiled_count
-from binocular_recon.apps.signals import ignore_signals, leave, raise_signals
+from binocular_recon.apps.signals import ignore_signals, leave, raise_signals, raised
 from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.nodes.runtime import shared_memory
 from binocular_recon.options import KINDS
@@ -202,15 +202,17 @@ def _run(
             node = make_node()
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
         rclpy.spin(node, executor)
-    except BinocularReconError as error:
-        get_logger('binocular_recon').fatal(str(error))
-        return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         interrupted = True
-    except RuntimeError:
-        # the interrupt may come as an error of ROS, which is shut down then
-        if node is None or rclpy.ok():
+    except Exception as error:
+        # ROS may turn the interrupt into an error of its own, or be shut down by it
+        of_ros = node is not None and isinstance(error, RuntimeError) and not rclpy.ok()
+        interrupted = raised() is not None or of_ros
+        if not interrupted and not isinstance(error, BinocularReconError):
             raise
+        if not interrupted:
+            get_logger('binocular_recon').fatal(str(error))
+            return 1
     finally:
         if of_process:
             ignore_signals()

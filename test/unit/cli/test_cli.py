@@ -233,6 +233,29 @@ def test_a_closed_pipe_ends_the_command_without_a_message() -> None:
         assert process.wait(20) == 1
 
 
+@pytest.mark.parametrize('error', ['RuntimeError', 'OSError', 'SystemError'])
+@pytest.mark.parametrize(('number', 'status'), [('SIGINT', 130), ('SIGTERM', 143)])
+def test_interrupt_that_an_extension_turns_into_another_error(
+    error: str, number: str, status: int
+) -> None:
+    script = (
+        'import os, signal\n'
+        'from binocular_recon.cli import main\nfrom binocular_recon.cli.clouds import play\n'
+        'def run(args):\n'
+        '    try:\n'
+        f'        os.kill(os.getpid(), signal.{number})\n'
+        '    except KeyboardInterrupt:\n'
+        '        pass\n'
+        f'    raise {error}("unable to convert")\n'
+        'play.run = run\n'
+        'main.main()\n'
+    )
+    command = [sys.executable, '-c', script, 'play', 'bag']
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == status, run.stderr
+    assert run.stderr.count('\n') == 1, run.stderr
+
+
 def test_play_without_ros_says_what_to_do(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
