@@ -28,7 +28,7 @@ def add_frame(
     """Write the files of a frame and take them over."""
     with part_folder(results.folder) as parts:
         frame = FrameResult.of(reconstruction, rig, rig)
-        outcome = write_frame(frame, reconstruction, seconds, parts, 0, results.formats, {})
+        outcome = write_frame(frame, seconds, parts, 0, results.formats, {})
         results.add(parts, outcome, reconstruction.findings, rig, stamp_ns)
 
 

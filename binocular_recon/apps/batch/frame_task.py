@@ -22,7 +22,7 @@ from binocular_recon.images import FloatImage, Image
 from binocular_recon.io.files import naming_errors
 from binocular_recon.machine import peak_bytes
 from binocular_recon.stereo.diagnosis import NOTHING, Findings
-from binocular_recon.stereo.pipeline import Chain, Reconstruction, warm_up
+from binocular_recon.stereo.pipeline import Chain, warm_up
 from binocular_recon.stereo.validity import MOST_OUTSIDE
 
 
@@ -166,13 +166,11 @@ def _compute(task: FrameTask, folder: Path) -> FrameOutcome:
         return FrameOutcome(chain.state(), str(error))
     seconds = time.perf_counter() - begun
     frame = FrameResult.of(made, task.rig, chain.rig)
-    formats = task.recipe.formats
-    return write_frame(frame, made, seconds, folder, task.index, formats, chain.state())
+    return write_frame(frame, seconds, folder, task.index, task.recipe.formats, chain.state())
 
 
 def write_frame(
     frame: FrameResult,
-    made: Reconstruction,
     seconds: float,
     folder: Path,
     index: int,
@@ -184,8 +182,7 @@ def write_frame(
     Parameters
     ----------
     frame : FrameResult
-    made : Reconstruction
-        What the chain made.
+        What a chain made.
     seconds : float
         Time that it took.
     folder : Path
@@ -197,6 +194,8 @@ def write_frame(
         `Chain.state` after it.
 
     """
+    made = frame.made
+    assert made is not None  # by a chain
     for name in formats:
         FRAME_FORMATS[name].write_frame(folder, index, frame)
     searched = made.range.search
