@@ -24,6 +24,7 @@ RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_s
 
 SUMMARY = 'summary.json'
 _SIDES, _MATRICES = ('left', 'right'), ('K', 'D', 'R', 'P')
+_RIGHT_SIZE = 'right_image_size'
 # A recording of 100 000 frames has 60 MB.
 _LARGEST = 100_000_000
 # What readers take for granted, if it is there.
@@ -90,6 +91,7 @@ def calibration_entry(rig: StereoRig) -> dict[str, Any]:
     """Return a calibration as JSON."""
     return {
         'image_size': list(rig.left.size),
+        **_right_size(rig.left, rig.right),
         'focal_px': rig.focal_px,
         'baseline_m': rig.baseline_m,
         'disparity_offset_px': rig.disparity_offset_px,
@@ -106,9 +108,15 @@ def _covariance(known: RigCovariance | None) -> dict[str, Any] | None:
     return {
         'parameters': list(known.parameters),
         'matrix': known.matrix.tolist(),
+        **_right_size(known.left, known.right),
         'left': _camera(known.left),
         'right': _camera(known.right),
     }
+
+
+def _right_size(left: Camera, right: Camera) -> dict[str, Any]:
+    """Return the size of the right images if it is not that of the left ones."""
+    return {} if left.size == right.size else {_RIGHT_SIZE: list(right.size)}
 
 
 def _camera(camera: Camera) -> dict[str, Any]:
@@ -163,14 +171,8 @@ def rig_of_entry(entry: object) -> StereoRig:
     """Return the calibration of a `calibration_entry`; raises a CalibrationError if it is none."""
     if not isinstance(entry, dict):
         raise CalibrationError('the calibration is missing')
-    size = numbers('image_size', entry.get('image_size'), CalibrationError)
-    if size.shape != (2,) or not ((size % 1 == 0) & (size > 0) & (size <= LARGEST_SIDE_PX)).all():
-        raise CalibrationError(
-            f'image_size must be width and height, at most {LARGEST_SIDE_PX} px, got'
-            f' {size.tolist()}'
-        )
-    width, height = size.astype(int).tolist()
-    left, right = (_camera_of(entry.get(side), side, width, height) for side in _SIDES)
+    size = _size_of(entry, 'image_size')
+    left, right = _cameras_of(entry, size)
     known = entry.get('covariance')
     if known is None:
         return StereoRig(left, right)
@@ -179,10 +181,26 @@ def rig_of_entry(entry: object) -> StereoRig:
     names = known.get('parameters')
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise CalibrationError('the parameters of the covariance must be a list of names')
-    calibrated = [_camera_of(known.get(side), side, width, height) for side in _SIDES]
     matrix = numbers('covariance', known.get('matrix'), CalibrationError)
-    covariance = RigCovariance(calibrated[0], calibrated[1], tuple(names), matrix)
+    covariance = RigCovariance(*_cameras_of(known, size), tuple(names), matrix)
     return StereoRig(left, right, covariance=covariance)
+
+
+def _size_of(entry: dict[str, Any], name: str) -> tuple[int, int]:
+    size = numbers(name, entry.get(name), CalibrationError)
+    if size.shape != (2,) or not ((size % 1 == 0) & (size > 0) & (size <= LARGEST_SIDE_PX)).all():
+        raise CalibrationError(
+            f'{name} must be width and height, at most {LARGEST_SIDE_PX} px, got {size.tolist()}'
+        )
+    return int(size[0]), int(size[1])
+
+
+def _cameras_of(entry: dict[str, Any], left_size: tuple[int, int]) -> tuple[Camera, Camera]:
+    """Return both cameras of an entry; the right one has a size of its own where it says so."""
+    right_size = _size_of(entry, _RIGHT_SIZE) if _RIGHT_SIZE in entry else left_size
+    sizes = zip(_SIDES, (left_size, right_size), strict=True)
+    left, right = (_camera_of(entry.get(side), side, *size) for side, size in sizes)
+    return left, right
 
 
 def rectified_rig(summary: dict[str, Any], entry: object) -> StereoRig:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.apps.summary_entries import calibration_entry, rectified_rig
 from binocular_recon.calibration.holding import check_holding
 from binocular_recon.calibration.session.calibration_files import save_calibration
 from binocular_recon.calibration.session.captures import read_captures
@@ -105,6 +107,14 @@ def test_rods_calibrate_cameras_of_two_resolutions(
     assert np.sqrt(saved.covariance.matrix[index, index]) == pytest.approx(
         result.sigma['fx_right_px']
     )
+    # what summary.json says of the rig is the rig, whatever the images were rectified with
+    entry = json.loads(json.dumps(calibration_entry(saved)))
+    assert entry['right_image_size'] == list(rig.right.size)
+    for alpha in (-1.0, 0.0):
+        read = rectified_rig({'source': {'alpha': alpha}}, entry)
+        np.testing.assert_array_equal(read.left.P, Rectifier(saved, alpha).rig.left.P)
+        assert read.covariance is not None
+        assert read.covariance.right.size == rig.right.size
     holding = check_holding(saved, captures_of(rig, 3, 0.2), BOARD, rig.left.size, rig.right.size)
     assert not holding.faults
     with pytest.raises(CalibrationError, match=r'the images are 1920x1200 px, the calibration is'
