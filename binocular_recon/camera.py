@@ -235,11 +235,6 @@ class StereoRig:
                 ' size: rectify both to the size of the left one'
             )
         check_baseline(self.left.P, self.right.P)
-        if self.covariance is not None and self.turns:
-            raise CalibrationError(
-                'the covariance of a rig with one camera above the other cannot be used; delete'
-                ' calibration.json to go on without it'
-            )
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -271,6 +266,11 @@ class StereoRig:
         along = abs(self.turns)
         shift = self.left.P[along, 3] - self.right.P[along, 3]
         return float(abs(shift) / self.right.P[along, along])
+
+    @property
+    def right_centre_m(self) -> FloatArray:
+        """Optical centre of the right camera in the left rectified frame, (3,) m."""
+        return self.baseline_m * np.eye(3)[abs(self.turns)] * (self.turns or 1)
 
     @property
     def focal_px(self) -> float:

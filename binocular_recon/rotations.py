@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation vectors and cross products as matrices."""
+"""Rotation vectors, cross products and quarter turns as matrices."""
 
 from __future__ import annotations
 
@@ -28,6 +28,34 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
     matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
     matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
     return matrix
+
+
+def quarter_turn(turns: int) -> FloatArray:
+    """Return the rotation (3, 3) from the frame of a camera to that of its turned images.
+
+    ``turns`` are quarter turns of the images, counter-clockwise: 0, 1 or -1.
+    """
+    return np.eye(3) if turns == 0 else np.array([[0, turns, 0], [-turns, 0, 0], [0, 0, 1.0]])
+
+
+def turned_pixels(turns: int, size: tuple[int, int]) -> FloatArray:
+    """Return homogeneous pixels of an image (width, height) to those of it turned, (3, 3).
+
+    The way back is that of ``-turns`` and the size (height, width).
+    """
+    width, height = size
+    matrix = quarter_turn(turns)
+    if turns:
+        matrix[:2, 2] = (0, width - 1) if turns > 0 else (height - 1, 0)
+    return matrix
+
+
+def turned_projection(P: FloatArray, turns: int, size: tuple[int, int]) -> FloatArray:
+    """Return P (3, 4) of the turned image of a camera, whose frame is turned with it."""
+    back = np.eye(4)
+    back[:3, :3] = quarter_turn(turns).T
+    projection: FloatArray = turned_pixels(turns, size) @ P @ back
+    return projection
 
 
 def similarity_derivatives(places: FloatArray) -> FloatArray:

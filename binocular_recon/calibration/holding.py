@@ -14,7 +14,7 @@ from scipy import stats
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
-from binocular_recon.calibration.target.target import Target
+from binocular_recon.calibration.target.target import Target, seen_scale
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.inputs.common_size import CommonSize
@@ -54,6 +54,8 @@ class Holding:
         Median depth of the marks, m.
     left_out : tuple of Rejected
         Boards that contradict most of the others.
+    lines : str
+        What corresponds in the images: 'rows', or 'columns' if one camera stands above the other.
 
     """
 
@@ -66,6 +68,7 @@ class Holding:
     calibration_sigma: float
     depth_m: float
     left_out: tuple[Rejected, ...] = ()
+    lines: str = 'rows'
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -73,8 +76,8 @@ class Holding:
         faults = []
         if self.systematic_rows_px > MOST_ROWS_PX:
             faults.append(
-                f'rows differ by {self.systematic_rows_px:.2f} px without the noise of the marks'
-                f' (at most {MOST_ROWS_PX:g} px): a camera has moved'
+                f'{self.lines} differ by {self.systematic_rows_px:.2f} px without the noise of the'
+                f' marks (at most {MOST_ROWS_PX:g} px): a camera has moved'
             )
         off = abs(self.scale - 1)
         if off > LEAST_SCALE and off > MOST_SIGMAS * self.scale_sigma:
@@ -87,7 +90,7 @@ class Holding:
 
     def __str__(self) -> str:
         """Say by how much rows differ and lengths are off."""
-        text = f'rows differ by {self.rows_px:.2f} px'
+        text = f'{self.lines} differ by {self.rows_px:.2f} px'
         if not np.isfinite(self.scale_sigma):
             return f'{text} ({self.marks} marks; too few to compare lengths)'
         known = np.isfinite(self.calibration_sigma)
@@ -171,6 +174,7 @@ def check_holding(
         calibration_sigma=calibration_sigma,
         depth_m=float(np.median(np.concatenate([board.depths_m for board in kept]))),
         left_out=odd,
+        lines='columns' if rig.turns else 'rows',
     )
 
 
@@ -250,9 +254,8 @@ def _scales(rig: StereoRig, points: FloatArray, target: Target) -> tuple[FloatAr
         u, strength, vt = np.linalg.svd(group[seen].T @ places)
         scale = float(strength.sum() / spread)
         if target.has_rods:
-            # the left camera sees the edge on the surface, nearer to it than the axis
-            away = np.cross(group[seen].mean(axis=0), u[:, 0])
-            scale *= 1 - target.radius_m / float(np.linalg.norm(away))
+            ends = group[seen][[0, -1]]
+            scale /= seen_scale(ends, target.radius_m, rig.right_centre_m)
         scales.append(scale)
         if rig.covariance is not None:
             turned = places @ ((u * (strength > 1e-9 * strength[0])) @ vt).T

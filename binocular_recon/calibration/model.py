@@ -101,8 +101,25 @@ class StereoCalibration:
         return centre
 
     @property
+    def turns(self) -> int:
+        """Quarter turns of the images that bring the baseline into rows, as `StereoRig.turns`."""
+        x, y, _ = self.right_centre_m
+        if abs(y) <= abs(x):
+            return 0
+        return 1 if y > 0 else -1
+
+    @property
+    def turned_size(self) -> tuple[int, int]:
+        """Width and height of the images turned by `turns`, px."""
+        width, height = self.image_size
+        return (height, width) if self.turns else (width, height)
+
+    @property
     def facing(self) -> FloatArray:
-        """Rotation from the left camera to x along the baseline and z the mean view, (3, 3)."""
+        """Rotation from the left camera to x along the baseline and z the mean view, (3, 3).
+
+        If one camera stands above the other, that is the frame of the images turned by `turns`.
+        """
         x = self.right_centre_m / self.baseline_m
         view = np.array([0, 0, 1.0]) + self.R.T[:, 2]
         y = np.cross(view, x)

@@ -52,7 +52,8 @@ class Stage:
         by both.
     row_difference_px : (B, R, M) float64
         Row in the left minus row in the right image, of the original images (planar) or the
-        rectified ones (corrected, adjusted); NaN = not seen by both.
+        rectified ones (corrected, adjusted); NaN = not seen by both. Columns if one camera stands
+        above the other.
 
     """
 
@@ -124,6 +125,11 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     advice: tuple[Advice, ...]
     date: str = field(default_factory=now_text)
+
+    @property
+    def line(self) -> str:
+        """What corresponds in rectified images: a 'row', or a 'column' of cameras above others."""
+        return 'column' if self.rig.turns else 'row'
 
     @property
     def calibration(self) -> StereoCalibration:

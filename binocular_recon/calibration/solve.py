@@ -136,7 +136,8 @@ def calibrate(
     rectified = corrected_marks(
         used, adjusted.state.calibration, correction_of(adjusted.state.calibration, rig)
     )
-    final = _stage(adjusted.state, target, used, _rows(rectified))
+    across = 0 if rig.turns else 1
+    final = _stage(adjusted.state, target, used, _differences(rectified, across))
     corrected, more = _corrected(used, target, planar, final)
     parameters = adjusted.state.calibration.parameters
     right = _own_camera(rig.right, sizes)
@@ -147,7 +148,7 @@ def calibrate(
         names=tuple(usable[i].name for i in adjusted.boards),
         sizes=sizes,
         rig=StereoRig(rig.left, right, covariance=known),
-        planar=_stage(planar, target.exact(), used, _rows(used)),
+        planar=_stage(planar, target.exact(), used, _differences(used, across)),
         corrected=corrected,
         adjusted=final,
         estimate=adjusted,
@@ -200,7 +201,8 @@ def _corrected(
         calibration=again.state.calibration,
         residuals_px=used - again.predicted_px,
         marks_m=triangulated(again.state.calibration, again.corrected_px),
-        row_difference_px=_rows(corrected_marks(used, start, pair)),
+        # of images that are turned already
+        row_difference_px=_differences(corrected_marks(used, start, pair), across=1),
     )
     return stage, notes
 
@@ -253,6 +255,7 @@ def _stage(state: State, target: Target, used: FloatArray, rows: FloatArray) -> 
     )
 
 
-def _rows(marks_px: FloatArray) -> FloatArray:
-    rows: FloatArray = marks_px[..., 1] - marks_px[..., 3]
-    return rows
+def _differences(marks_px: FloatArray, across: int) -> FloatArray:
+    """Return how far marks of both images differ across the baseline: 1 = rows, 0 = columns."""
+    differences: FloatArray = marks_px[..., across] - marks_px[..., 2 + across]
+    return differences

@@ -17,7 +17,7 @@ import numpy as np
 from binocular_recon.calibration.holding import MOST_SIGMAS
 from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard
-from binocular_recon.calibration.target.target import Target
+from binocular_recon.calibration.target.target import Target, seen_scale
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.measurement.lengths import Length
@@ -145,13 +145,11 @@ def _longest(rig: StereoRig, capture: Capture, target: Target) -> CheckDistance 
     ends = joined(*(_point(rig, px, sigma_px, f'{i}') for i, px in enumerate((first, last))))
     measured = propagate(lambda both: np.linalg.norm(both[3:] - both[:3]), ends)
     value, sigma = float(measured.values[0]), float(measured.sigma[0])
-    middle = ends.values.reshape(2, 3).mean(axis=0)
-    along = (ends.values[3:] - ends.values[:3]) / value
-    # marks are seen on the surface, nearer than the axis
-    value *= 1 - target.radius_m / float(np.linalg.norm(np.cross(middle, along)))
+    places = ends.values.reshape(2, 3)
+    value /= seen_scale(places, target.radius_m, rig.right_centre_m)
     sigma = float(np.hypot(sigma, np.hypot(KNOWN_SHARE * length, KNOWN_SIGMA_M)))
     name = f'{capture.name} rod {rod}' if target.has_rods else capture.name
-    return CheckDistance(name, Length(value, sigma), length, float(middle[2]))
+    return CheckDistance(name, Length(value, sigma), length, float(places[:, 2].mean()))
 
 
 def _point(rig: StereoRig, pixels: FloatArray, sigma_px: float, name: str) -> Uncertain:

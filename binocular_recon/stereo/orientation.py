@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from binocular_recon.camera import Camera, RigCovariance, StereoRig
 from binocular_recon.images import ByteImage, Image, to_bgr8
 from binocular_recon.inputs.levels import Levels
+from binocular_recon.rotations import quarter_turn, turned_projection
 
 Kind = TypeVar('Kind', bound=np.generic)
 Result = TypeVar('Result')
@@ -20,6 +23,35 @@ Result = TypeVar('Result')
 def turn(image: npt.NDArray[Kind], turns: int) -> npt.NDArray[Kind]:
     """Return an image turned by quarter turns, counter-clockwise; itself if ``turns`` is 0."""
     return image if turns == 0 else np.ascontiguousarray(np.rot90(image, turns))
+
+
+@lru_cache(maxsize=4)  # one rig serves a stream, and what is computed for it is cached by rig
+def lying_rig(rig: StereoRig) -> StereoRig:
+    """Return the rig of rectified images turned by its ``turns``: the baseline lies along rows."""
+    turns = rig.turns
+    if turns == 0:
+        return rig
+
+    def lying(camera: Camera) -> Camera:
+        P = turned_projection(camera.P, turns, camera.size)
+        height, width = camera.size
+        return dataclasses.replace(camera, width=width, height=height, K=P[:, :3], P=P)
+
+    known = lying_covariance(rig.covariance) if rig.covariance else None
+    return StereoRig(lying(rig.left), lying(rig.right), covariance=known)
+
+
+def lying_covariance(known: RigCovariance) -> RigCovariance:
+    """Return a covariance whose raw cameras stay, and are rectified to turned images."""
+    turns = StereoRig(known.left, known.right).turns
+    if turns == 0:
+        return known
+
+    def lying(camera: Camera) -> Camera:
+        P = turned_projection(camera.P, turns, known.left.size)
+        return dataclasses.replace(camera, R=quarter_turn(turns) @ camera.R, P=P)
+
+    return dataclasses.replace(known, left=lying(known.left), right=lying(known.right))
 
 
 def turned_colours(

@@ -23,7 +23,8 @@ from binocular_recon.camera import FloatArray, RigCovariance, StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.lenses.lens import Lens
 from binocular_recon.lenses.projection import project_derivatives
-from binocular_recon.rotations import cross_matrix
+from binocular_recon.rotations import cross_matrix, quarter_turn
+from binocular_recon.stereo.orientation import lying_covariance
 
 # Nodes of the grid of variances over the columns of the left and of the right image and the rows.
 _GRID = 41, 41, 25
@@ -97,7 +98,9 @@ def calibration_derivatives(points_xyz: FloatArray, rig: StereoRig) -> FloatArra
         If the rig has no covariance.
 
     """
-    return point_derivatives(*_raw_cameras(_known(rig)), points_xyz)
+    turn = quarter_turn(rig.turns)  # to the frame whose x axis is the baseline, and back
+    moved: FloatArray = turn.T @ point_derivatives(*_raw_cameras(_known(rig)), points_xyz @ turn.T)
+    return moved
 
 
 def add_covariance(rig: StereoRig, known: RigCovariance | None) -> StereoRig:
@@ -143,7 +146,7 @@ def variance_grid(rig: StereoRig) -> npt.NDArray[np.float32]:
     Parameters
     ----------
     rig : StereoRig
-        The rectified rig.
+        The rectified rig; its rows correspond (`lying_rig`).
 
     Returns
     -------
@@ -185,7 +188,8 @@ def _known(rig: StereoRig) -> RigCovariance:
 
 
 def _raw_cameras(known: RigCovariance) -> tuple[RawCamera, RawCamera, float]:
-    """Return the cameras of a calibrated rig and its baseline, m."""
+    """Return the cameras of a calibrated rig and its baseline, m; its x axis is the baseline."""
+    known = lying_covariance(known)
     left, right = (
         RawCamera(camera.lens, camera.K, known.distortion(camera), camera.R)
         for camera in (known.left, known.right)

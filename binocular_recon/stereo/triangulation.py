@@ -12,7 +12,9 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
+from binocular_recon.rotations import quarter_turn
 from binocular_recon.stereo._triangulation_kernels import triangulate_rows
+from binocular_recon.stereo.orientation import lying_rig, turn
 from binocular_recon.stereo.point_covariance import variance_grid
 from binocular_recon.stereo.validity import Validity
 
@@ -106,6 +108,8 @@ def triangulate(
             f' {validity.shape} (rows, columns), the rig has {size}; use the calibration of these'
             ' images'
         )
+    if rig.turns:
+        return _turned_cloud(disparity_px, sigma_px, validity, rig, config)
     kept = Validity.MEASURED | (Validity.FILLED if config.keep == 'all' else 0)
     points_xyz = np.empty((*size, 3), np.float32)
     sigma_m = np.empty((*size, 3 if rig.covariance else 1), np.float32)
@@ -125,4 +129,22 @@ def triangulate(
         points_xyz,
         sigma_m,
     )
+    return Cloud(points_xyz, sigma_m)
+
+
+def _turned_cloud(
+    disparity_px: FloatImage,
+    sigma_px: FloatImage,
+    validity: ByteImage,
+    rig: StereoRig,
+    config: CloudConfig,
+) -> Cloud:
+    """Triangulate maps of a rig with one camera above the other, turned, and turn back."""
+    maps = (turn(one, rig.turns) for one in (disparity_px, sigma_px, validity))
+    lying = triangulate(*maps, lying_rig(rig), config)
+    points_xyz = turn(lying.points_xyz, -rig.turns)
+    points_xyz = points_xyz @ quarter_turn(rig.turns).astype(np.float32)
+    sigma_m = turn(lying.sigma_m, -rig.turns)
+    if lying.calibrated:
+        sigma_m = np.ascontiguousarray(sigma_m[..., [1, 0, 2]])
     return Cloud(points_xyz, sigma_m)

@@ -49,6 +49,8 @@ AT_FOOT = 0.15
 # Marks are those of a board if they are this share of all between the lowest and the highest one
 # of their rods, and this share of all that the image must show from the first to the last rod.
 LEAST_ALONG, LEAST_BETWEEN = 0.6, 1 / 3
+# Up to this share of a board's marks, they must lie in stretches of so many next to each other.
+FEW_SHARE, LEAST_STRETCH = 0.5, 1.75
 # Index of no rod, even after adding any shift.
 NOWHERE = -1000
 
@@ -116,6 +118,8 @@ def settle_identity(
 def scattered(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> bool:
     """Return whether marks lie scattered, as in trees: with gaps, or with no rods in between.
 
+    Few marks are it too if hardly any two are next to each other.
+
     Things that hide a board leave whole stretches of it.
     """
     found = np.isfinite(marks_px[..., 0])
@@ -124,8 +128,10 @@ def scattered(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> b
     below = np.logical_or.accumulate(found[:, ::-1], axis=1)[:, ::-1]
     predicted = predict_marks(board, marks_px, plane_marks(board, marks_px, size))
     between = inside_image(predicted, size, BORDER_MARGIN_PX)[rods[0] : rods[-1] + 1]
+    stretches = found[:, 0].sum() + (found[:, 1:] & ~found[:, :-1]).sum()
     return bool(
-        found.sum() < LEAST_ALONG * (above & below).sum()
+        (found.mean() <= FEW_SHARE and found.sum() < LEAST_STRETCH * stretches)
+        or found.sum() < LEAST_ALONG * (above & below).sum()
         or found.sum() < LEAST_BETWEEN * between.sum()
     )
 

@@ -24,7 +24,7 @@ from binocular_recon.calibration.rectification.homography import (
 )
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
-from binocular_recon.rotations import cross_matrix
+from binocular_recon.rotations import cross_matrix, quarter_turn
 
 # eq. 5, the fundamental matrix of a pair whose rows correspond
 F_STAR = np.array([[0.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -48,6 +48,8 @@ def epipoles(calibration: StereoCalibration) -> tuple[FloatArray, FloatArray]:
 def row_aligning_pair(calibration: StereoCalibration) -> Correction:
     """Return the basic pair of eq. 6-8: rows correspond, what eq. 9 leaves free is not chosen.
 
+    Corrected images are those turned by ``calibration.turns``.
+
     Raises
     ------
     CalibrationError
@@ -57,7 +59,10 @@ def row_aligning_pair(calibration: StereoCalibration) -> Correction:
     check_epipoles(calibration)
     width, height = calibration.image_size
     centred = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, 1]])
-    left, right = (_epipole_to_infinity(centred @ e) @ centred for e in epipoles(calibration))
+    turns = calibration.turns
+    left, right = (
+        _epipole_to_infinity(centred @ e, turns) @ centred for e in epipoles(calibration)
+    )
     F_hat = np.linalg.inv(right).T @ fundamental_matrix(calibration) @ np.linalg.inv(left)
     (a, b), (c, d) = F_hat[1:, 1:]  # eq. 7
     H_S = np.array([[a * d - b * c, 0, 0], [0, -c, -d], [0, a, b]])  # eq. 8
@@ -67,7 +72,8 @@ def row_aligning_pair(calibration: StereoCalibration) -> Correction:
 def free_pair(calibration: StereoCalibration) -> Correction:
     """Return the row-aligning pair that resamples both images least, all of eq. 9 free.
 
-    Depth from its disparities is not metric: use ``metric_rig`` for that.
+    Corrected images are those turned by ``calibration.turns``. Depth from their disparities is
+    not metric: use ``metric_rig`` for that.
 
     Raises
     ------
@@ -75,12 +81,13 @@ def free_pair(calibration: StereoCalibration) -> Correction:
         If an epipole lies inside or close to its image.
 
     """
-    basic = _normalised(row_aligning_pair(calibration), calibration.image_size)
+    basic = _normalised(row_aligning_pair(calibration), calibration)
     left, right = (ImageGrid.of(calibration, side) for side in ('left', 'right'))
+    size = calibration.turned_size
 
     def pair(free: FloatArray) -> Correction:
         l1, l2, r1, r2, s, q = free
-        common = [0, s, 0], [0, q / calibration.image_size[1], 1]
+        common = [0, s, 0], [0, q / size[1], 1]
         return Correction(
             np.array([[l1, l2, 0], *common]) @ basic.H_left,
             np.array([[r1, r2, 0], *common]) @ basic.H_right,
@@ -93,7 +100,7 @@ def free_pair(calibration: StereoCalibration) -> Correction:
     best = least_squares(departure, np.array([1.0, 0, 1, 0, 1, 0]), method='lm')
     aligned = pair(best.x)
     check_in_front(left.denominators(aligned.H_left), right.denominators(aligned.H_right))
-    shift_left, shift_right = centring(aligned, left, right, calibration.image_size)
+    shift_left, shift_right = centring(aligned, left, right, size)
     return Correction(shift_left @ aligned.H_left, shift_right @ aligned.H_right)
 
 
@@ -113,9 +120,12 @@ def check_epipoles(calibration: StereoCalibration) -> None:
             )
 
 
-def _epipole_to_infinity(e: FloatArray) -> FloatArray:
-    """Return eq. 6 for an epipole in coordinates about the image's centre, safe for e3 = 0."""
-    e1, e2, e3 = e if e[0] >= 0 else -e
+def _epipole_to_infinity(e: FloatArray, turns: int) -> FloatArray:
+    """Return eq. 6 for an epipole in coordinates about the image's centre, safe for e3 = 0.
+
+    ``turns`` tells where the epipole goes to the right: 0 from beside, 1 from below, -1 above.
+    """
+    e1, e2, e3 = e if (turns * e[1] if turns else e[0]) >= 0 else -e
     length = np.hypot(e1, e2)
     return np.array(
         [
@@ -126,15 +136,16 @@ def _epipole_to_infinity(e: FloatArray) -> FloatArray:
     )
 
 
-def _normalised(basic: Correction, image_size: tuple[int, int]) -> Correction:
+def _normalised(basic: Correction, calibration: StereoCalibration) -> Correction:
     """Scale a pair within eq. 9 so that the left centre stays upright and about as large."""
-    centre = np.array([(image_size[0] - 1) / 2, (image_size[1] - 1) / 2])
+    centre = (np.array(calibration.image_size) - 1) / 2
+    back = quarter_turn(calibration.turns)[:2, :2].T
     H_left, H_right = (H / (H[2, :2] @ centre + H[2, 2]) for H in (basic.H_left, basic.H_right))
-    # derivatives of the corrected by the undistorted position at the centre
+    # derivatives of the corrected by the undistorted position at the centre, turned alike
     scales = []
     for H in (H_left, H_right):
         mapped = apply(H, centre)
-        scales.append(H[:2, :2] - mapped[:, None] * H[2, :2])
+        scales.append((H[:2, :2] - mapped[:, None] * H[2, :2]) @ back)
     s = 1 / scales[0][1, 1]
     left, right = (np.diag([1 / scale[0, 0], s, 1.0]) for scale in scales)
     return Correction(left @ H_left, right @ H_right)

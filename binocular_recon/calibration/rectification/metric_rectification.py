@@ -22,7 +22,7 @@ from binocular_recon.calibration.rectification.homography import (
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.number_text import significant
-from binocular_recon.rotations import rotation
+from binocular_recon.rotations import quarter_turn, rotation, turned_projection
 
 # The principal points of both cameras are the same, so that a point at infinity has disparity 0,
 # unless centring the images would set them apart by more than this share of the width.
@@ -32,6 +32,9 @@ OFFSET_LIMIT = 0.1
 def metric_rig(calibration: StereoCalibration) -> StereoRig:
     """Return the rig with the rectification R, P that resamples both images least.
 
+    If one camera stands above the other, columns correspond instead of rows: what follows then
+    holds for the images turned by ``calibration.turns``.
+
     Both cameras share R* (its x axis is the baseline), f_x, f_y and c_y; f_x, f_y and the turn
     about the baseline are chosen by least resampling, c_y and c_x by centring. c_x is the same in
     both (disparity 0 at infinity) unless the cameras squint by more than ``OFFSET_LIMIT``.
@@ -39,8 +42,7 @@ def metric_rig(calibration: StereoCalibration) -> StereoRig:
     Raises
     ------
     CalibrationError
-        If an epipole lies inside or close to its image, or the cameras are swapped or stand
-        one above the other.
+        If an epipole lies inside or close to its image, or the cameras are swapped.
 
     """
     check_order(calibration)
@@ -60,9 +62,10 @@ def metric_rig(calibration: StereoCalibration) -> StereoRig:
     best = least_squares(departure, [focal, focal, 0.0], x_scale=[focal, focal, 1.0], method='lm')
     aligned = pair(best.x)
     check_in_front(left.denominators(aligned.H_left), right.denominators(aligned.H_right))
-    shifts = centring(aligned, left, right, calibration.image_size)
+    size = calibration.turned_size
+    shifts = centring(aligned, left, right, size)
     K_left, K_right = (shift @ np.diag([best.x[0], best.x[1], 1.0]) for shift in shifts)
-    if abs(K_left[0, 2] - K_right[0, 2]) <= OFFSET_LIMIT * calibration.image_size[0]:
+    if abs(K_left[0, 2] - K_right[0, 2]) <= OFFSET_LIMIT * size[0]:
         K_left[0, 2] = K_right[0, 2] = (K_left[0, 2] + K_right[0, 2]) / 2
     R_star = rotation(np.array([best.x[2], 0, 0])) @ facing
     P_left = np.column_stack([K_left, np.zeros(3)])
@@ -82,17 +85,9 @@ def correction_of(calibration: StereoCalibration, rig: StereoRig) -> Correction:
 
 
 def check_order(calibration: StereoCalibration) -> None:
-    """Raise a CalibrationError unless the right camera stands to the right of the left one."""
-    x, y, _ = calibration.right_centre_m
-    if abs(y) > abs(x):
-        raise CalibrationError(
-            f'the right camera stands {significant(abs(y))} m {"below" if y > 0 else "above"} the'
-            f' left one and {significant(abs(x))} m beside it; this calibration aligns rows, which'
-            ' needs cameras side by side: calibrate this rig with another program, such as OpenCV'
-            ' or Kalibr, and give its file to import-calibration, which takes cameras one above'
-            ' the other'
-        )
-    if x < 0:
+    """Raise a CalibrationError if the right camera stands to the left of the left one."""
+    x = calibration.right_centre_m[0]
+    if x < 0 and not calibration.turns:
         raise CalibrationError(
             f'left and right are swapped: the right camera stands {significant(-x)} m to the left'
             ' of the left one; exchange the images of the two cameras'
@@ -110,6 +105,9 @@ def _metric_pair(
 
 
 def _camera(calibration: StereoCalibration, side: str, R: FloatArray, P: FloatArray) -> Camera:
+    """Return a camera of its upright images, from R and P of them turned."""
     width, height = calibration.image_size
+    if turns := calibration.turns:
+        R, P = quarter_turn(-turns) @ R, turned_projection(P, -turns, calibration.turned_size)
     model, D = calibration.stated_lens(side)
     return Camera(width, height, calibration.side(side)[0], D, R, P, model)

@@ -58,12 +58,12 @@ def row_differences(result: CalibrationResult) -> str:
     distance = result.marks_m[..., 2]
     extent = np.nanmax(np.abs(result.planar.row_difference_px))
     extent = 1.1 * max(extent, np.nanmax(np.abs(result.corrected.row_difference_px)))
-    chart = Chart(
-        _limits(distance), (-extent, extent), labels=(DISTANCE, 'left row - right row, px')
-    )
+    line = result.line
+    labels = DISTANCE, f'left {line} - right {line}, px'
+    chart = Chart(_limits(distance), (-extent, extent), labels=labels)
     for rows, color in groups:
         chart.dots(np.column_stack([distance.ravel(), rows.ravel()]), color, 2)
-    return chart.svg('Row differences of the marks before and after correction')
+    return chart.svg(f'{line.capitalize()} differences of the marks before and after correction')
 
 
 def known_heights(result: CalibrationResult) -> str:

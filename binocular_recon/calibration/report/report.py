@@ -176,9 +176,10 @@ def _rows(result: CalibrationResult) -> str:
     ):
         statistics = row_statistics(differences)
         rows.append((name, f'{statistics["mean"]:.3f}', f'{statistics["max"]:.3f}'))
+    line = result.line
     return section(
-        'Rows of the two images',
-        'A mark must appear in the same row of both rectified images. What remains here is'
+        f'{line.capitalize()}s of the two images',
+        f'A mark must appear in the same {line} of both rectified images. What remains here is'
         ' mostly the noise of the marks themselves.',
         figure(
             charts.row_differences(result),
@@ -188,7 +189,7 @@ def _rows(result: CalibrationResult) -> str:
                 ('adjusted', METHODS['adjusted']),
             ),
         ),
-        table(('row difference', 'mean, px', 'largest, px'), rows),
+        table((f'{line} difference', 'mean, px', 'largest, px'), rows),
     )
 
 

@@ -140,3 +140,33 @@ class Target:
         if self.bends and warp_m is not None:
             marks[..., 2] += (self.bumps @ warp_m)[:, None]
         return marks, directions
+
+
+def seen_scale(ends_m: FloatArray, radius_m: float, right_centre_m: FloatArray) -> float:
+    """Return by how much too long a length on a rod is measured, as a factor.
+
+    Each camera sees the edges on the surface that faces it, not on the axis, and where their rays
+    meet depends on how the rod lies to the baseline.
+
+    Parameters
+    ----------
+    ends_m : (2, 3) float64
+        Ends of the length on the rod's axis, left rectified frame, m.
+    radius_m : float
+        Radius of the rod.
+    right_centre_m : (3,) float64
+        Optical centre of the right camera in that frame, along x or y.
+
+    """
+    rod = ends_m[1] - ends_m[0]
+    rod = rod / np.linalg.norm(rod)
+    rays = []
+    for centre in (np.zeros(3), right_centre_m):
+        ahead = ends_m - centre
+        away = ahead - (ahead @ rod)[:, None] * rod
+        surface = ahead - radius_m * away / np.linalg.norm(away, axis=1, keepdims=True)
+        rays.append(surface / surface[:, 2:])
+    along = int(np.argmax(np.abs(right_centre_m)))
+    depths = right_centre_m[along] / (rays[0] - rays[1])[:, along]
+    seen = rays[0] * depths[:, None]
+    return float(np.linalg.norm(seen[1] - seen[0]) / np.linalg.norm(ends_m[1] - ends_m[0]))

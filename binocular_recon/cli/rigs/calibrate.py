@@ -154,7 +154,7 @@ def summary(result: CalibrationResult) -> str:
     depths = (f'{significant(1e3 * result.depth_sigma_m(z))} mm at {z:g} m' for z in DEPTHS_M)
     means = ', '.join(f'{name} {values["mean"]:.3f}' for name, values in rows.items())
     lines += [
-        f'row difference, mean: {means} px',
+        f'{result.line} difference, mean: {means} px',
         (
             f'baseline {1e3 * calibration.baseline_m:.2f} +-'
             f' {significant(1e3 * sigma["baseline_m"], 2)} mm, focal length'

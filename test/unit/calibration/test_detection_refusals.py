@@ -179,6 +179,7 @@ def test_scattered_marks_are_no_board() -> None:
         ('xxxx..', none, none, none, '..xxxx'),  # rods missing in between
         ('x.x..x', none, 'x..x.x', none, none),  # gaps along the rods
         (none, 'x..x.x', 'x.x..x', '..x..x', none),
+        ('x.x.x.', none, 'x..xxx', none, none),  # few in short stretches, as in birches
     ):
         assert scattered(board, seen(*rows), LEFT.camera.size)
     for rows in (

@@ -25,7 +25,7 @@ from binocular_recon.calibration.rectification.metric_rectification import (
 )
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
-from binocular_recon.rotations import rotation
+from binocular_recon.rotations import quarter_turn, rotation, turned_pixels
 from binocular_recon.stereo.rectification import Rectifier
 from test.calibration_tools import truth
 
@@ -41,14 +41,19 @@ RIGS = {
     'converging': turned(0.01, 0.12, -0.02, (1.0, 0.02, 0.05)),
     'diverging': turned(-0.02, -0.05, 0.03, (0.8, -0.05, -0.1)),
     'ideal': turned(0.0, 0.0, 0.0, (1.0, 0.0, 0.0)),
+    'below': turned(0.01, 0.03, -0.02, (0.05, 0.9, 0.04)),
+    'above': turned(-0.02, 0.01, 0.03, (-0.03, -0.8, 0.02)),
 }
 
 
 def pairs(calibration: StereoCalibration) -> dict[str, Correction]:
+    """Return all corrections; of cameras one above the other to images turned into rows."""
+    metric = correction_of(calibration, metric_rig(calibration))
+    turn = turned_pixels(calibration.turns, calibration.image_size)
     return {
         'basic': row_aligning_pair(calibration),
         'free': free_pair(calibration),
-        'metric': correction_of(calibration, metric_rig(calibration)),
+        'metric': Correction(turn @ metric.H_left, turn @ metric.H_right),
     }
 
 
@@ -119,7 +124,9 @@ def test_metric_pair_is_two_cameras_of_one_orientation(rig: str) -> None:
     np.testing.assert_allclose(R_left, R_right, atol=1e-9)
     assert np.linalg.det(R_left) == pytest.approx(1)
     np.testing.assert_allclose(K_left[0, 1], 0, atol=1e-6)
-    np.testing.assert_allclose(K_left[[0, 1, 1], [0, 1, 2]], K_right[[0, 1, 1], [0, 1, 2]])
+    across = 0 if rectified.turns else 1
+    shared = [0, 1, across], [0, 1, 2]
+    np.testing.assert_allclose(K_left[shared], K_right[shared])
     np.testing.assert_allclose(K_left, rectified.left.P[:, :3], atol=1e-6)
 
 
@@ -127,7 +134,7 @@ def test_metric_pair_is_two_cameras_of_one_orientation(rig: str) -> None:
 def test_depth_from_disparity_is_metric(rig: str) -> None:
     calibration = RIGS[rig]
     rectified = metric_rig(calibration)
-    pair = correction_of(calibration, rectified)
+    pair = pairs(calibration)['metric']
     points, left, right = seen_points(calibration)
     disparity = (apply(pair.H_left, left) - apply(pair.H_right, right))[:, 0]
     depth = rectified.focal_px * rectified.baseline_m / (disparity - rectified.disparity_offset_px)
@@ -154,6 +161,7 @@ def test_images_are_resampled_little_and_stay_upright(rig: str) -> None:
             values.append(grid.resampling(H))
             centre = np.array([959.5, 599.5])
             step = apply(H, centre + np.eye(2) * 10) - apply(H, centre)
+            step = step @ quarter_turn(calibration.turns)[:2, :2]
             assert step[0, 0] > 7 and step[1, 1] > 7
         departures[kind] = float(np.sum(np.square(values)))
     # the metric pair is a member of the free family, so it cannot resample less
@@ -204,8 +212,6 @@ def test_epipole_too_close_is_refused() -> None:
             correct(near)
 
 
-def test_swapped_and_stacked_cameras_are_refused() -> None:
+def test_swapped_cameras_are_refused() -> None:
     with pytest.raises(CalibrationError, match='left and right are swapped'):
         check_order(turned(0.0, 0.0, 0.0, (-1.0, 0.0, 0.0)))
-    with pytest.raises(CalibrationError, match=r'stands .* m (below|above) the left one'):
-        metric_rig(turned(0.0, 0.0, 0.0, (0.1, 1.0, 0.0)))

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives
 from binocular_recon.calibration.model import StereoCalibration
@@ -16,6 +17,7 @@ from binocular_recon.camera import FloatArray, RigCovariance, StereoRig, paramet
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.errors import CalibrationError, ImageError
 from binocular_recon.measurement.lengths import Length, length_between
+from binocular_recon.rotations import quarter_turn, turned_pixels
 from binocular_recon.simulation.rig import RawRig, fisheye_rig, survey_rig
 from binocular_recon.stereo.point_covariance import (
     add_covariance,
@@ -265,14 +267,51 @@ def test_the_covariance_of_another_rig_is_refused() -> None:
             add_covariance(rig, calibrated.covariance)
 
 
-def test_a_rig_with_one_camera_above_the_other_has_no_covariance() -> None:
-    _, calibrated = rig_of('plumb_bob')
-    P = calibrated.right.P.copy()
-    P[1, 3], P[0, 3] = P[0, 3], 0.0
-    above = replace(calibrated.right, P=P)
-    assert StereoRig(calibrated.left, above).turns == 1
-    with pytest.raises(CalibrationError, match=r'one camera above the other .* delete'):
-        StereoRig(calibrated.left, above, covariance=calibrated.covariance)
+@pytest.mark.parametrize('turns', [1, -1])
+def test_a_standing_rig_has_the_covariance_of_the_lying_one(turns: int) -> None:
+    """The same cameras with images read out turned: only names of parameters change."""
+    calibration, lying = rig_of('equidistant')
+    turn = quarter_turn(-turns)
+
+    def standing(K: FloatArray) -> FloatArray:
+        return turned_pixels(-turns, calibration.image_size) @ K @ turn.T
+
+    twin = replace(
+        calibration,
+        image_size=calibration.image_size[::-1],
+        K_left=standing(calibration.K_left),
+        K_right=standing(calibration.K_right),
+        R=turn @ calibration.R @ turn.T,
+        T=turn @ calibration.T,
+    )
+    bare = metric_rig(twin)
+    assert bare.turns == turns and lying.covariance is not None
+    # fx, fy, cx and cy change places, k1 to k4 do not; turn and T are vectors
+    intrinsics = np.zeros((8, 8))
+    intrinsics[:4, :4] = np.eye(4)[[1, 0, 3, 2]] * [[1], [1], [-turns], [turns]]
+    intrinsics[4:, 4:] = np.eye(4)
+    change = block_diag(intrinsics, intrinsics, turn, turn)
+    known = RigCovariance(
+        bare.left, bare.right, lying.covariance.parameters,
+        change @ lying.covariance.matrix @ change.T,
+    )  # fmt: skip
+    standing_rig = Rectifier(StereoRig(bare.left, bare.right, covariance=known)).rig
+    lying_rig = Rectifier(lying).rig
+    np.testing.assert_allclose(
+        joint_covariance(POINTS @ turn.T, standing_rig, 0.1),
+        np.einsum('ij,njmk,lk->niml', turn, joint_covariance(POINTS, lying_rig, 0.1), turn),
+        rtol=1e-4, atol=1e-12,
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    disparity = rng.uniform(60, 200, (lying_rig.left.height, lying_rig.left.width))
+    maps = [disparity.astype(np.float32), np.full(disparity.shape, 0.1, np.float32)]
+    measured_px = np.full(disparity.shape, Validity.MEASURED, np.uint8)
+    expected = triangulate(*maps, measured_px, lying_rig, CloudConfig())
+    back = [np.ascontiguousarray(np.rot90(one, -turns)) for one in (*maps, measured_px)]
+    found = triangulate(*back, standing_rig, CloudConfig())
+    points, sigma = (np.rot90(one, turns) for one in (found.points_xyz, found.sigma_m))
+    np.testing.assert_allclose(points @ turn.astype(np.float32), expected.points_xyz, atol=1e-3)
+    np.testing.assert_allclose(sigma[..., [1, 0, 2]], expected.sigma_m, rtol=1e-3)
 
 
 def test_a_matrix_that_is_no_covariance_is_refused() -> None:
