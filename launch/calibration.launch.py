@@ -23,7 +23,13 @@ from binocular_recon.nodes.runtime.options import InputOptions, RodOptions
 CHAIN = runpy.run_path(str(Path(__file__).with_name('binocular_recon.launch.py')))
 ARGUMENTS = {
     name: CHAIN['ARGUMENTS'][name]
-    for name in ('namespace', 'params_file', 'use_sim_time', 'dds_profile')
+    for name in (
+        'namespace',
+        *(f'{side}_{name}' for side in CHAIN['SIDES'] for name in ('namespace', 'image')),
+        'params_file',
+        'use_sim_time',
+        'dds_profile',
+    )
 }
 SPECS = [spec for group in (RodOptions, InputOptions) for spec in dataclasses.fields(group)]
 
@@ -55,6 +61,19 @@ def _start(context: LaunchContext) -> list[Any]:
         executable='calibration_node',
         namespace=given.get('namespace', '').strip('/'),
         parameters=[*files, values],
+        remappings=_remappings(given),
         output='screen',
     )
     return [*CHAIN['_profile'](given), node]
+
+
+def _remappings(given: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the topics and services of the cameras whose names differ from those of the node."""
+    topics = CHAIN['_topics'](given, rectify=True)
+    images = [f'{side}/image_raw' for side in CHAIN['SIDES']]
+    names = [(name, topics[name]) for name in images if name in topics]
+    for side in CHAIN['SIDES']:
+        folder = given.get(f'{side}_namespace', side).rstrip('/')
+        if folder != side:
+            names.append((f'{side}/set_camera_info', f'{folder}/set_camera_info'))
+    return names

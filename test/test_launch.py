@@ -306,6 +306,7 @@ def test_calibration_takes_the_options_of_its_node() -> None:
 
     node = node_class('calibration_node')
     own = {'namespace', 'params_file', 'use_sim_time', 'dds_profile'}
+    own |= {f'{side}_{name}' for side in ('left', 'right') for name in ('namespace', 'image')}
     arguments, _ = launched(CALIBRATION)
     assert set(arguments) - own == set(options(node))
     assert all(len(argument.description) > 15 for argument in arguments.values())
@@ -318,12 +319,28 @@ def test_calibration_takes_the_options_of_its_node() -> None:
     }
     (started,) = (a for a in launched(CALIBRATION, **given)[1] if isinstance(a, Node))
     assert (started.package, started.executable) == ('binocular_recon', 'calibration_node')
+    assert started.remappings == []
     assert started.namespace == 'rig' and started.parameters == [
         'mine.yaml',
         {'rods': 'rods.yaml', 'output': '2026', 'approximate_sync': True, 'use_sim_time': False},
     ]
     with pytest.raises(ConfigError, match='lens must be one of'):
         launched(CALIBRATION, lens='wide')
+
+
+def test_calibration_takes_cameras_with_other_topics() -> None:
+    (renamed,) = (
+        action
+        for action in launched(
+            CALIBRATION, left_namespace='/cam0/', right_image='/driver/image', rods='a', output='b'
+        )[1]
+        if isinstance(action, Node)
+    )
+    assert renamed.remappings == [
+        ('left/image_raw', '/cam0/image_raw'),
+        ('right/image_raw', '/driver/image'),
+        ('left/set_camera_info', '/cam0/set_camera_info'),
+    ]
 
 
 @pytest.mark.skipif(importlib.util.find_spec('launch_ros') is None, reason='launch_ros is missing')
