@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,8 +16,10 @@ from binocular_recon.calibration.detection._identity import scattered
 from binocular_recon.calibration.detection.detect import _settle, detect_rods
 from binocular_recon.calibration.target.board_plane import slant
 from binocular_recon.errors import ImageError
+from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rods import paper_board, place_board
+from test.lookalikes import LOOKALIKES, lookalike
 from test.rod_images import LEFT, RIG, board_of, image_of
 
 pytestmark = pytest.mark.long
@@ -162,6 +166,25 @@ def test_clutter_alone_has_no_board() -> None:
     x1, y1 = np.nanmax(capture.left_px, (0, 1)).astype(int) + 60
     image[max(0, y0) : y1, max(0, x0) : x1] = 128
     assert not detect_rods(image, board).found.any()
+
+
+@pytest.mark.parametrize('kind', LOOKALIKES)
+def test_what_only_looks_like_rods_has_no_board(kind: str) -> None:
+    """Forests, facades and stripes, in which upright edges and bands abound."""
+    detection = detect_rods(lookalike(kind, (320, 200), 1), paper_board())
+    assert not detection.found.any()
+    assert detection.messages
+
+
+def test_trees_are_no_board(shared_data: Path) -> None:
+    """Poles without bands among trees and snow."""
+    photographs = sorted((shared_data / 'poles').glob('*pole1.jpg'))
+    assert len(photographs) == 2
+    for path in photographs:
+        image = read_image_file(path)
+        share = 500 / max(image.shape)
+        small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+        assert not detect_rods(small, paper_board()).found.any(), path.name
 
 
 def test_scattered_marks_are_no_board() -> None:
