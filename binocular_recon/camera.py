@@ -270,7 +270,9 @@ class StereoRig:
     @property
     def right_centre_m(self) -> FloatArray:
         """Optical centre of the right camera in the left rectified frame, (3,) m."""
-        return self.baseline_m * np.eye(3)[abs(self.turns)] * (self.turns or 1)
+        centre = np.zeros(3)
+        centre[abs(self.turns)] = self.baseline_m * (self.turns or 1)
+        return centre
 
     @property
     def focal_px(self) -> float:

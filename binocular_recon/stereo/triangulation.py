@@ -140,11 +140,16 @@ def _turned_cloud(
     config: CloudConfig,
 ) -> Cloud:
     """Triangulate maps of a rig with one camera above the other, turned, and turn back."""
-    maps = (turn(one, rig.turns) for one in (disparity_px, sigma_px, validity))
-    lying = triangulate(*maps, lying_rig(rig), config)
-    points_xyz = turn(lying.points_xyz, -rig.turns)
-    points_xyz = points_xyz @ quarter_turn(rig.turns).astype(np.float32)
-    sigma_m = turn(lying.sigma_m, -rig.turns)
+    turns = rig.turns
+    lying = triangulate(
+        turn(disparity_px, turns),
+        turn(sigma_px, turns),
+        turn(validity, turns),
+        lying_rig(rig),
+        config,
+    )
+    points_xyz = turn(lying.points_xyz, -turns) @ quarter_turn(turns).astype(np.float32)
+    sigma_m = turn(lying.sigma_m, -turns)
     if lying.calibrated:
         sigma_m = np.ascontiguousarray(sigma_m[..., [1, 0, 2]])
     return Cloud(points_xyz, sigma_m)

@@ -304,11 +304,13 @@ def test_a_standing_rig_has_the_covariance_of_the_lying_one(turns: int) -> None:
     )  # fmt: skip
     rng = np.random.default_rng(1)
     disparity = rng.uniform(60, 200, (lying_rig.left.height, lying_rig.left.width))
-    maps = [disparity.astype(np.float32), np.full(disparity.shape, 0.1, np.float32)]
-    measured_px = np.full(disparity.shape, Validity.MEASURED, np.uint8)
-    expected = triangulate(*maps, measured_px, lying_rig, CloudConfig())
-    back = [np.ascontiguousarray(np.rot90(one, -turns)) for one in (*maps, measured_px)]
-    found = triangulate(*back, standing_rig, CloudConfig())
+    disparity_px, sigma_px = disparity.astype(np.float32), np.full_like(disparity, 0.1, np.float32)
+    validity = np.full(disparity.shape, Validity.MEASURED, np.uint8)
+    expected = triangulate(disparity_px, sigma_px, validity, lying_rig, CloudConfig())
+    found = triangulate(
+        np.rot90(disparity_px, -turns), np.rot90(sigma_px, -turns), np.rot90(validity, -turns),
+        standing_rig, CloudConfig(),
+    )  # fmt: skip
     points, sigma = (np.rot90(one, turns) for one in (found.points_xyz, found.sigma_m))
     np.testing.assert_allclose(points @ turn.astype(np.float32), expected.points_xyz, atol=1e-3)
     np.testing.assert_allclose(sigma[..., [1, 0, 2]], expected.sigma_m, rtol=1e-3)
