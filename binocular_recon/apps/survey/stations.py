@@ -18,7 +18,7 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ConfigError, MeasurementError
 from binocular_recon.io.exports.placement import Placement, read_placement
 from binocular_recon.io.exports.point_table import SIGMAS, PointTable
-from binocular_recon.io.files import ClaimedFolder, complete_files, write_json
+from binocular_recon.io.files import ClaimedFolder, check_apart, complete_files, write_json
 from binocular_recon.io.ply import CAMERA_FRAME
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.merging.overlap import Pose, find_pose, surface_distances
@@ -153,8 +153,7 @@ def _check(folder: MeasuredFolder, output: Path) -> None:
             f'{folder.folder} holds {folder.count} frames, a station has one: average the frames'
             f' of a rig that stood still first (merge {folder.folder} --output DIR)'
         )
-    if output.resolve() == folder.folder.resolve():
-        raise ConfigError(f'{output} is one of the stations; choose another folder')
+    check_apart(output, folder.folder)
 
 
 def _placed(folders: Sequence[MeasuredFolder]) -> list[Station]:

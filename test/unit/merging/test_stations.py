@@ -209,7 +209,7 @@ def test_stations_that_cannot_be_joined(
     several = stored(tmp_path / 'several', [frame, frame])
     with pytest.raises(MeasurementError, match='holds 2 frames, a station has one'):
         merge_stations([stations[0], several], tmp_path / 'out', 0.05)
-    with pytest.raises(ConfigError, match='is one of the stations'):
+    with pytest.raises(ConfigError, match='holds what the result is made of'):
         merge_stations(stations, stations[1].folder, 0.05)
     with pytest.raises(ConfigError, match='must be among ply'):
         merge_stations(stations, tmp_path / 'out', 0.05, formats=['tiff'])
@@ -243,3 +243,4 @@ def test_points_of_a_cube_are_weighted_and_keep_what_they_share() -> None:
     assert low['scalar_sigma_x'] == pytest.approx(0.06 * np.sqrt(0.8 * 0.2), rel=1e-4)
     assert low['scalar_sigma_y'] == pytest.approx((0.01 * 4 + 0.02) / 5, rel=1e-4)
     assert (low['scalar_validity'], high['scalar_validity']) == (1, 2)
+    assert (low['scalar_count'], high['scalar_count']) == (2, 1)
