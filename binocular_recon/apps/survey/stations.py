@@ -13,6 +13,7 @@ import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, formats_named
 from binocular_recon.apps.stored_frame import stored_frames
+from binocular_recon.apps.summary_entries import STATIONS
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ConfigError, MeasurementError
@@ -139,7 +140,7 @@ def merge_stations(
             for spec in specs.values():
                 spec.write(parts / f'cloud{spec.ending}', table)
             write_json(
-                parts / 'stations.json',
+                parts / STATIONS,
                 {'voxel_size_m': voxel_size_m, 'crs': system or None, 'stations': entries},
             )
     finally:
