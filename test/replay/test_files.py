@@ -242,11 +242,9 @@ def test_two_processes_make_of_videos_what_one_makes(
 def test_files_state_the_focal_length_of_the_images_whatever_alpha_is(
     tmp_path: Path, alpha: float
 ) -> None:
-    right = rig().right
-    turned = rotation(np.array([0.02, -0.03, 0.01]))
-    distorted = [replace(rig().left, D=np.array([-0.2, 0.05, 0, 0, 0.0])),
-                 replace(right, D=np.array([-0.2, 0.05, 0, 0, 0.0]), R=turned @ right.R)]  # fmt: skip
-    raw = StereoRig(*distorted)
+    turn, D = rotation(np.array([0.02, -0.03, 0.01])), np.array([-0.2, 0.05, 0, 0, 0.0])
+    left, right = rig().left, rig().right
+    raw = StereoRig(replace(left, D=D), replace(right, D=D, R=turn @ right.R))
     (tmp_path / 'rig').mkdir()
     write_rig(tmp_path / 'rig', raw)
     focal_px = Rectifier(raw, alpha).rig.left.P[0, 0]
