@@ -58,6 +58,24 @@ def turned_projection(P: FloatArray, turns: int, size: tuple[int, int]) -> Float
     return projection
 
 
+def rigid_fit(
+    here: FloatArray, there: FloatArray, weight: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return R (..., 3, 3) and t (..., 3) of the best ``there = R here + t``, by least squares.
+
+    Points are (..., n, 3), their weights (n,), by default equal.
+    Source: Umeyama, "Least-squares estimation of transformation parameters" (1991), scale 1.
+    """
+    count = here.shape[-2]
+    share = np.full(count, 1 / count) if weight is None else weight / weight.sum()
+    middle_here, middle_there = share @ here, share @ there
+    off = there - middle_there[..., None, :]
+    u, _, vt = np.linalg.svd(np.einsum('n,...ni,...nj->...ij', share, off, here))
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    R: FloatArray = u @ vt
+    return R, middle_there - np.einsum('...ij,...j->...i', R, middle_here)
+
+
 def similarity_derivatives(places: FloatArray) -> FloatArray:
     """Return how places (n, 3) about a pivot move with a transformation of it, (n, 3, 7).
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of measurements over their stated sigma, on simulated sites: check_measuring.py [SITES].
+"""Errors of measurements over their stated sigma, on simulated sites.
+
+check_measuring.py [SITES [FIRST_SEED]]
 
 On each site a rig is calibrated with rods placed to 5 mm and the scene is reconstructed with that
 calibration. 25 random lengths of 0.5 to 10 m at 8 to 20 m are measured between pixels picked with
@@ -38,8 +40,9 @@ Picker = Callable[[float, float], tuple[Uncertain, FloatArray, Pick]]
 def main() -> None:
     """Print the figures of all sites."""
     sites = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    first_seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
     lengths, checks = [], []
-    for seed in range(sites):
+    for seed in range(first_seed, first_seed + sites):
         site = simulate_site(seed, survey_rig())
         board = with_placement(paper_board(), PLACEMENT_M)
         marks = simulated_marks(site.rig, board, BOARDS, seed)
@@ -49,7 +52,10 @@ def main() -> None:
         pick = picker(frame, *true_points(site, rig), np.random.default_rng(seed))
         lengths += random_lengths(pick)
         checks += check_points(pick, frame, np.random.default_rng(seed))
-        print(f'{seed + 1} sites: lengths {figures(lengths)}; check points {figures(checks)}')
+        print(
+            f'to seed {seed}: lengths {figures(lengths)}; check points {figures(checks)}',
+            flush=True,
+        )
 
 
 def picker(

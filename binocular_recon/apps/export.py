@@ -12,7 +12,7 @@ from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.apps.stored_frame import StoredFrame, stored_frames
 from binocular_recon.errors import ConfigError, FileError
 from binocular_recon.io.exports.placement import Placement
-from binocular_recon.io.files import ClaimedFolder, complete_files
+from binocular_recon.io.files import ClaimedFolder, check_apart, complete_files
 
 _STORED = {*dir(StoredFrame), *(field.name for field in fields(StoredFrame))}
 # Formats that can be made from what an output folder holds.
@@ -58,8 +58,7 @@ def export(
     frames = list(stored_frames(folder, placement))
     if not frames:
         raise FileError(f'{folder} holds no frame; reconstruct first')
-    if output.resolve() == folder.resolve():
-        raise ConfigError(f'{output} holds the clouds that are exported; choose another folder')
+    check_apart(output, folder)
     claim = ClaimedFolder(output)
     try:
         with ProgressBar(len(frames), 'frames') as progress:

@@ -109,9 +109,9 @@ class FrameResult:
     @cached_property
     def table(self) -> PointTable:
         """The valid points, as formats of clouds take them."""
-        cloud, validity, bgr = self.points
+        cloud, validity, bgr, count = self.points
         assert bgr is not None  # a frame has colour
-        return PointTable.of_cloud(cloud, validity, bgr, tuple(frame_lines(self.frame)))
+        return PointTable.of_cloud(cloud, validity, bgr, tuple(frame_lines(self.frame)), count)
 
     @property
     def depth_m(self) -> FloatImage:

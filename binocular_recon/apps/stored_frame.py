@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
-from binocular_recon.apps.summary_entries import SUMMARY, read_summary, rectified_rig
+from binocular_recon.apps.summary_entries import STATIONS, SUMMARY, read_summary, rectified_rig
 from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError, ConfigError, FileError, shortened
 from binocular_recon.images import FloatImage
@@ -97,7 +97,7 @@ def stored_frames(folder: Path, placement: Placement | None = None) -> Iterator[
 
     """
     path = folder / SUMMARY
-    if not path.exists():
+    if not path.exists() and not (folder / STATIONS).exists():
         raise FileError(f'{folder} holds no results: there is no {SUMMARY}; {_REMEDY}')
     summary = read_summary(folder, _REMEDY)
     rigs: list[tuple[Any, StereoRig]] = []

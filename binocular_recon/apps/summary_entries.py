@@ -23,6 +23,8 @@ from binocular_recon.stereo.search_range import SearchRange
 RIG_ENTRY = ('calibration', 'baseline_m', 'focal_px', 'frame', 'sigma', 'depth_searched_m')
 
 SUMMARY = 'summary.json'
+# What `merge` writes beside the cloud of several stations.
+STATIONS = 'stations.json'
 _SIDES, _MATRICES = ('left', 'right'), ('K', 'D', 'R', 'P')
 _RIGHT_SIZE = 'right_image_size'
 # A recording of 100 000 frames has 60 MB.
@@ -148,6 +150,11 @@ def read_summary(folder: Path, remedy: str) -> dict[str, Any]:
 
     """
     path = folder / SUMMARY
+    if (folder / STATIONS).exists() and not path.exists():
+        raise FileError(
+            f'{folder} holds the cloud of several stations, without images and disparities; give'
+            f' the output folder of one station ({STATIONS} lists them)'
+        )
     content = read_json(path, remedy, _LARGEST)
     frames = content.get('frames') if isinstance(content, dict) else None
     if not isinstance(content, dict) or not isinstance(frames, list):

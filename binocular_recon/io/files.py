@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from binocular_recon.errors import FileError
+from binocular_recon.errors import ConfigError, FileError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _PART = re.compile(r'\.(.+\.)?[0-9a-f]{8}\.part')
@@ -40,6 +40,12 @@ def make_folder(path: Path) -> None:
         raise FileError(
             f'folder {path} cannot be made: {_reason(error)}; choose another folder'
         ) from error
+
+
+def check_apart(output: Path, folder: Path) -> None:
+    """Raise a ConfigError if the results of a folder would be written into it."""
+    if output.resolve() == folder.resolve():
+        raise ConfigError(f'{output} holds what the result is made of; choose another folder')
 
 
 class ClaimedFolder:

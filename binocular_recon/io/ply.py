@@ -24,6 +24,7 @@ SCALAR = 'scalar_'
 _PLY_TYPE = {'<f4': 'float', '<f8': 'double', '|u1': 'uchar'}
 _KINDS = {name: kind for kind, name in _PLY_TYPE.items()}
 CAMERA_FRAME = 'left rectified optical frame: x right, y down, z forward, metres'
+_COUNT = f'{SCALAR}count'
 # Scalars that every cloud has.
 _LEAST = ('sigma_z', 'validity')
 _FIRST = ['ply', 'format binary_little_endian 1.0']
@@ -79,12 +80,20 @@ def frame_lines(frame: str) -> list[str]:
 
 
 def vertices_of(
-    cloud: Cloud, validity: npt.NDArray[np.uint8], bgr: npt.NDArray[np.uint8]
+    cloud: Cloud,
+    validity: npt.NDArray[np.uint8],
+    bgr: npt.NDArray[np.uint8],
+    count: npt.NDArray[np.uint16] | None = None,
 ) -> Vertices:
-    """Return the valid points of a cloud as the vertices of a file; arguments of `write_ply`."""
+    """Return the valid points of a cloud as the vertices of a file.
+
+    Arguments are those of `write_ply`, and the number of frames that points rest on, (H, W).
+    """
     valid = np.isfinite(cloud.points_xyz).all(axis=-1)
     points = cloud.points_xyz[valid]
     scalars: dict[str, npt.NDArray[Any]] = {**cloud.sigmas_m, 'validity': validity}
+    if count is not None:
+        scalars['count'] = count
     vertices = np.empty(len(points), vertex_kind(scalars))
     vertices['x'], vertices['y'], vertices['z'] = points.T
     vertices['blue'], vertices['green'], vertices['red'] = bgr[valid].T
@@ -145,6 +154,7 @@ def _header(kind: np.dtype[np.void], count: int, shares: str, frame: Sequence[st
         f'comment {", ".join(sigmas)}: one standard deviation, metres',
         f'comment standard deviations hold the share of {shares}',
         'comment scalar_validity: 1 measured, 2 filled between measured pixels',
+        *([f'comment {_COUNT}: number of averaged images or stations'] if _COUNT in names else []),
         f'element vertex {count}',
         *properties,
         'end_header\n',

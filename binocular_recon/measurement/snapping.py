@@ -133,7 +133,9 @@ def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
         root = np.sqrt(weight)
         start = np.linalg.lstsq(design * root[:, None], disparity * root, rcond=None)[0]
         plane = refined_fit(design, disparity, weight, SCATTER_PX, start)
-    misfit = np.sqrt(np.average((disparity - design @ plane) ** 2, weights=weight))
+    # odd pixels count as little here as in the plane: what they are off is not its error
+    off = disparity - design @ plane
+    misfit = np.sqrt(np.average(off**2, weights=weight / (1 + (off / SCATTER_PX) ** 2) ** 2))
     error_px = MATCHING_FACTOR * np.hypot(np.average(sigma, weights=weight), misfit)
     return Surface(float(plane[0]), plane[1:], float(error_px))
 

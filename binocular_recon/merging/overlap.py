@@ -20,7 +20,7 @@ from binocular_recon.errors import MeasurementError
 from binocular_recon.images import Mask
 from binocular_recon.machine import optional_package
 from binocular_recon.measurement.frame import MeasuredFrame
-from binocular_recon.rotations import similarity_derivatives
+from binocular_recon.rotations import rigid_fit, similarity_derivatives
 
 # A match of features is clear if the second best is farther by this factor.
 _RATIO = 0.8
@@ -158,17 +158,6 @@ def _pairs(ours: _Features, theirs: _Features) -> npt.NDArray[np.intp]:
     return np.array([(one.queryIdx, one.trainIdx) for one in clear], int).reshape(-1, 2)
 
 
-def _rigid(a: FloatArray, b: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R, t of the best ``b = R a + t`` of points (..., n, 3) (Umeyama 1991, scale 1)."""
-    share = weight / weight.sum()
-    here, there = share @ a, share @ b
-    spread = np.einsum('n,...ni,...nj->...ij', share, b - there[..., None, :], a)
-    u, _, vt = np.linalg.svd(spread)
-    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
-    R = u @ vt
-    return R, there - np.einsum('...ij,...j->...i', R, here)
-
-
 def _consensus(a: FloatArray, b: FloatArray, sigma: FloatArray) -> Mask:
     """Return which pairs agree with the pose that most agree with (RANSAC)."""
     best: Mask = np.zeros(len(a), bool)
@@ -177,7 +166,7 @@ def _consensus(a: FloatArray, b: FloatArray, sigma: FloatArray) -> Mask:
     rng = np.random.default_rng(0)
     for _ in range(0, _SAMPLES, _BATCH):
         some = rng.integers(0, len(a), (_BATCH, 3))
-        R, t = _rigid(a[some], b[some], np.ones(3))
+        R, t = rigid_fit(a[some], b[some])
         off = np.einsum('sij,nj->sni', R, a) + t[:, None] - b
         agree = (off**2).sum(axis=-1) < (_WITHIN * sigma) ** 2
         most = agree[int(agree.sum(axis=1).argmax())]
@@ -191,7 +180,7 @@ def _fit(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return R, t and the covariance of `Pose`, from pairs with isotropic errors."""
     weight = 1 / sigma**2
-    R, t = _rigid(a, b, weight)
+    R, t = rigid_fit(a, b, weight)
     turned = a @ R.T + t - b.mean(axis=0)
     design = similarity_derivatives(turned)[..., :6]  # without scale
     normal = np.einsum('nij,n,nik->jk', design, weight, design)

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.io.exports.point_table import SIGMAS, PointChunk
+from binocular_recon.io.exports.point_table import SIGMAS, WHOLE, PointChunk
 from binocular_recon.io.ply import SCALAR, Vertices, vertex_kind
+from binocular_recon.stereo.thinning import grouped, repeated
 from binocular_recon.stereo.validity import Validity
 
 # Smaller standard deviations would not divide, m.
@@ -24,10 +25,11 @@ class _Cells:
     Attributes
     ----------
     keys : (N, 4) int64
-        Cube along each axis, and 0 for measured points, 1 for others.
-    sums : (N, 10) or (N, 13) float64
+        0 for measured points, 1 for others, which then follow those of the same cube; and the
+        cube along each axis.
+    sums : (N, 10) or (N, 14) float64
         Of the weight, and of weight times coordinates within the cube, colours and sigmas; of
-        stations also of weight times the squares of these coordinates.
+        stations also of weight times the squares of these coordinates, and their number.
     bits : (N,) uint8
         All bits of their validity.
 
@@ -46,7 +48,7 @@ class _Cells:
         values = np.column_stack([chunk.xyz - cubes * size_m, chunk.rgb, sigmas])
         bits = chunk.scalars['validity']
         guessed = (bits & Validity.MEASURED) == 0
-        keys = np.column_stack([cubes, guessed]).astype(np.int64)
+        keys = np.column_stack([guessed, cubes]).astype(np.int64)
         return joined([cls(keys, np.column_stack([weight, weight[:, None] * values]), bits)])
 
     @property
@@ -60,9 +62,8 @@ def joined(parts: Iterable[_Cells]) -> _Cells:
     """Return the sums of several parts."""
     listed = list(parts)
     keys = np.concatenate([part.keys for part in listed])
-    order = np.lexsort(keys[:, ::-1].T)  # other points of a cube follow its measured ones
+    order, starts = grouped(keys)
     keys = keys[order]
-    starts = np.flatnonzero(~_repeated(keys))
     sums = np.concatenate([part.sums for part in listed])[order]
     bits = np.concatenate([part.bits for part in listed])[order]
     if not len(starts):
@@ -106,30 +107,24 @@ class VoxelCloud:
         means = found.means
         weight = 1 / np.maximum((means[:, 6:] ** 2).mean(axis=1), _LEAST_SIGMA_M**2)
         squares = weight[:, None] * means[:, :3] ** 2
-        sums = np.column_stack([weight, weight[:, None] * means, squares])
+        sums = np.column_stack([weight, weight[:, None] * means, squares, np.ones(len(weight))])
         self._stations.append(_Cells(found.keys, sums, found.bits))
-        return int(np.count_nonzero(~_repeated(found.keys[:, :3])))
+        return int(np.count_nonzero(~repeated(found.keys[:, 1:])))
 
     def vertices(self) -> Vertices:
         """Return the points of all stations, laid out as in a PLY file, double precision."""
         cells = joined(self._stations)
-        kept = ~_repeated(cells.keys[:, :3])
+        kept = ~repeated(cells.keys[:, 1:])
         keys, sums, bits = cells.keys[kept], cells.sums[kept], cells.bits[kept]
-        means = sums[:, 1:] / sums[:, :1]
+        means = sums[:, 1:13] / sums[:, :1]
         spread = np.sqrt(np.maximum(means[:, 9:] - means[:, :3] ** 2, 0))
-        vertices = np.empty(len(keys), vertex_kind([*SIGMAS, 'validity'], '<f8'))
+        vertices = np.empty(len(keys), vertex_kind([*SIGMAS, *WHOLE], '<f8'))
         for axis, name in enumerate('xyz'):
-            vertices[name] = keys[:, axis] * self._size_m + means[:, axis]
+            vertices[name] = keys[:, 1 + axis] * self._size_m + means[:, axis]
             sigma = np.maximum(means[:, 6 + axis], spread[:, axis])
             vertices[f'{SCALAR}{SIGMAS[axis]}'] = sigma
         for axis, name in enumerate(_COLOURS):
             vertices[name] = np.rint(means[:, 3 + axis])
         vertices[f'{SCALAR}validity'] = bits
+        vertices[f'{SCALAR}count'] = sums[:, 13]
         return vertices
-
-
-def _repeated(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Tell which of sorted keys, (N, k), are the same as the one before."""
-    same = np.zeros(len(keys), bool)
-    same[1:] = np.all(keys[1:] == keys[:-1], axis=1)
-    return same

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.cloud_config import CloudConfig
-from binocular_recon.images import ByteImage
+from binocular_recon.images import ByteImage, Mask
 from binocular_recon.stereo.triangulation import Cloud
 from binocular_recon.stereo.validity import Validity
 
@@ -29,12 +29,15 @@ class PointSet(NamedTuple):
         Bits of `Validity`.
     bgr : (H, W, 3) uint8, optional
         Colour of the points.
+    averaged : (H, W) uint16, optional
+        Number of frames that each point rests on.
 
     """
 
     cloud: Cloud
     validity: ByteImage
     bgr: ByteImage | None = None
+    averaged: npt.NDArray[np.uint16] | None = None
 
 
 def thin(points: PointSet, config: CloudConfig) -> PointSet:
@@ -61,33 +64,35 @@ def thin(points: PointSet, config: CloudConfig) -> PointSet:
     theirs with the same weights. That is the largest that the sigma of the mean can be, which it
     reaches if all errors are the same. Errors of neighbours nearly are: they share windows, the
     filter's smoothing and the calibration, so 1 / sqrt(n) of them would promise too much. The
-    validity holds the bits of all points that count.
+    validity holds the bits of all points that count, the number of frames is the least of theirs.
 
     """
     step = config.decimation
     if step > 1:
-        cloud, validity, bgr = points
-        cloud = Cloud(cloud.points_xyz[::step, ::step], cloud.sigma_m[::step, ::step])
+        cloud, validity, bgr, averaged = points
         points = PointSet(
-            cloud, validity[::step, ::step], None if bgr is None else bgr[::step, ::step]
+            Cloud(cloud.points_xyz[::step, ::step], cloud.sigma_m[::step, ::step]),
+            validity[::step, ::step],
+            None if bgr is None else bgr[::step, ::step],
+            None if averaged is None else averaged[::step, ::step],
         )
     return _voxel_means(points, config.voxel_size) if config.voxel_size > 0 else points
 
 
 def _voxel_means(points: PointSet, size_m: float) -> PointSet:
     """Return one point per voxel."""
-    cloud, validity, bgr = points
+    cloud, validity, bgr, averaged = points
     valid = np.isfinite(cloud.points_xyz).all(axis=-1)
     kept = np.flatnonzero(valid)
     cells = np.floor(cloud.points_xyz[valid] / np.float64(size_m)).astype(np.int64)
-    order = _order(cells)
+    order, starts = grouped(cells)
     kept = kept[order]
-    starts = _starts(cells[order])
     if not starts.size:
         return PointSet(
             Cloud(cloud.points_xyz[:1, :0], cloud.sigma_m[:1, :0]),
             validity[:1, :0],
             None if bgr is None else bgr[:1, :0],
+            None if averaged is None else averaged[:1, :0],
         )
     bits = validity.ravel()[kept]
     measured = (bits & Validity.MEASURED) > 0
@@ -106,24 +111,41 @@ def _voxel_means(points: PointSet, size_m: float) -> PointSet:
         Cloud(mean(cloud.points_xyz).astype(np.float32), mean(cloud.sigma_m).astype(np.float32)),
         np.bitwise_or.reduceat(np.where(counts, bits, np.uint8(0)), starts)[None],
         None if bgr is None else np.rint(mean(bgr)).astype(np.uint8),
+        None if averaged is None else _least(averaged.ravel()[kept], counts, starts)[None],
     )
 
 
-def _order(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return the order in which equal voxels, (N, 3), follow each other."""
-    if not len(cells):
-        return np.empty(0, np.intp)
-    low = cells.min(axis=0)
-    spans = [int(span) + 1 for span in cells.max(axis=0) - low]
-    if math.prod(spans) > np.iinfo(np.int64).max:  # slower
-        return np.lexsort(cells.T)
-    x, y, z = (cells - low).T
-    return np.argsort((z * spans[1] + y) * spans[0] + x, kind='stable')
+def _least(
+    values: npt.NDArray[np.uint16], counts: Mask, starts: npt.NDArray[np.intp]
+) -> npt.NDArray[np.uint16]:
+    """Return the least of the values in each voxel that count."""
+    most = np.iinfo(values.dtype).max
+    return np.minimum.reduceat(np.where(counts, values, values.dtype.type(most)), starts)
 
 
-def _starts(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return where each voxel begins in sorted cells, (N, 3)."""
-    if not len(cells):
-        return np.empty(0, np.intp)
-    changes = np.any(cells[1:] != cells[:-1], axis=1)
-    return np.flatnonzero(np.concatenate([[True], changes]))
+def grouped(
+    keys: npt.NDArray[np.int64],
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the order in which equal keys, (N, k), follow each other, and where each begins.
+
+    Keys are sorted by the last column first; equal ones keep their order.
+    """
+    if not len(keys):
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    low = keys.min(axis=0)
+    spans = [int(span) + 1 for span in keys.max(axis=0) - low]
+    if math.prod(spans) > np.iinfo(np.int64).max:
+        order = np.lexsort(keys.T)  # slower
+    else:
+        packed = np.zeros(len(keys), np.int64)
+        for column, span in reversed([*zip((keys - low).T, spans, strict=True)]):
+            packed = packed * span + column
+        order = np.argsort(packed, kind='stable')
+    return order, np.flatnonzero(~repeated(keys[order]))
+
+
+def repeated(keys: npt.NDArray[np.int64]) -> Mask:
+    """Tell which of sorted keys, (N, k), are the same as the one before."""
+    same: Mask = np.zeros(len(keys), bool)
+    same[1:] = np.all(keys[1:] == keys[:-1], axis=1)
+    return same

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,12 +17,17 @@ import numpy as np
 import pytest
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
+from binocular_recon.camera import StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.errors import ImageError
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import write_rig
 from binocular_recon.io.pairs.video import Video, VideoFrame
+from binocular_recon.io.pfm import read_pfm
+from binocular_recon.rotations import rotation
+from binocular_recon.stereo.rectification import Rectifier
 from test.bag_tools import HEIGHT, WIDTH, image_pair, rig, stereo_records, write_bag
+from test.frame_results import contents
 from test.replay.reconstruction import RANGE, frames_of, reconstruct
 
 FRAMES = 4
@@ -215,6 +222,50 @@ def test_two_videos_and_one_give_the_clouds_of_the_bag(
     said = capsys.readouterr().err
     assert 'paired by their times: left.mkv (96x72 px, 4 frames, 10 per second) with' in said
     assert 'both.mkv (192x72 px, 4 frames, 10 per second) shows left and right side' in said
+
+
+@pytest.mark.long
+def test_two_processes_make_of_videos_what_one_makes(
+    calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 1})
+    left = write_video(tmp_path / 'left.mkv', [pair[0] for pair in PAIRS])
+    right = write_video(tmp_path / 'right.mkv', [pair[1] for pair in PAIRS], lost=2)
+    assert run(calibration, tmp_path / 'one', left, right) == 0
+    assert run(calibration, tmp_path / 'two', left, right, '--jobs', '2') == 0
+    alone = contents(tmp_path / 'one')
+    assert len(alone['summary']['frames']) == FRAMES - 1
+    assert contents(tmp_path / 'two') == alone
+
+
+@pytest.mark.parametrize('alpha', [-1.0, 0.0, 1.0])
+def test_files_state_the_focal_length_of_the_images_whatever_alpha_is(
+    tmp_path: Path, alpha: float
+) -> None:
+    turn, D = rotation(np.array([0.02, -0.03, 0.01])), np.array([-0.2, 0.05, 0, 0, 0.0])
+    left, right = rig().left, rig().right
+    raw = StereoRig(replace(left, D=D), replace(right, D=D, R=turn @ right.R))
+    (tmp_path / 'rig').mkdir()
+    write_rig(tmp_path / 'rig', raw)
+    focal_px = Rectifier(raw, alpha).rig.left.P[0, 0]
+    output = tmp_path / 'out'
+    words = [*write_images(tmp_path, 1), '--alpha', f'{alpha}', '--format', 'tiff,png']
+    assert run(tmp_path / 'rig', output, *words) == 0
+    assert main(['export', str(output), '--format', 'tiff,png']) == 0
+    summary = summary_of(output)
+    assert summary['focal_px'] == pytest.approx(focal_px, rel=1e-12)
+    for folder in (output, output / 'export'):
+        for ending in ('depth', 'depth_mm'):
+            side = json.loads((folder / f'000000_{ending}.json').read_text())
+            assert side['fx'] == pytest.approx(focal_px, rel=1e-12)
+    # and the cloud was made with it: depth = focal length x baseline / disparity
+    disparity_px = read_pfm(output / '000000_disparity.pfm')
+    depth_m = cv2.imread(str(output / '000000_depth.tiff'), cv2.IMREAD_UNCHANGED)
+    known = np.isfinite(depth_m)
+    assert known.any()
+    offset_px = Rectifier(raw, alpha).rig.disparity_offset_px
+    expected = focal_px * summary['baseline_m'] / (disparity_px[known] - offset_px)
+    np.testing.assert_allclose(depth_m[known], expected, rtol=1e-5)
 
 
 def test_an_interrupted_video_is_continued(

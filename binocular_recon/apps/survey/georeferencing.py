@@ -56,7 +56,9 @@ def tie_folder(
     )
     facts = _facts(found, control, system)
     names = ('E', 'N', 'H') if system else ('X', 'Y', 'Z')
-    tie = dataclasses.replace(found.tie, names=names, facts=facts)
+    tie = dataclasses.replace(
+        found.tie, names=names, epsg=system.epsg if system else None, facts=facts
+    )
     write_json(folder.folder / TIE_FILE, tie.to_mapping())
     return dataclasses.replace(found, tie=tie), _text(found, system)
 

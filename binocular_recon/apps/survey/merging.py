@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from binocular_recon.apps.batch.frame_task import FrameOutcome
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, FrameResult
@@ -19,7 +20,7 @@ from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ConfigError, MeasurementError
 from binocular_recon.images import ByteImage, FloatImage
-from binocular_recon.io.files import part_folder
+from binocular_recon.io.files import check_apart, part_folder
 from binocular_recon.merging.over_time import TimeAverage, average, sigma_of
 from binocular_recon.merging.standing_still import MOST_SHIFT_PX, Corners, moved_px
 from binocular_recon.stereo.diagnosis import NOTHING
@@ -86,13 +87,13 @@ def merge_over_time(
                     f'frame {number} is left out: its image is shifted by {moved:.1f} px against'
                     ' the others; the camera was moved'
                 )
-            filtered = stack.filtered()
+            filtered, count = stack.filtered()
             left_bgr = stack.colours(filtered.disparity_px, filtered.sigma_px)
         rig, limits = folder.rig(), folder.limits
         cloud = triangulate(
             filtered.disparity_px, filtered.sigma_px, filtered.validity, rig, limits
         )
-        points = thin(PointSet(cloud, filtered.validity, left_bgr), limits)
+        points = thin(PointSet(cloud, filtered.validity, left_bgr, count), limits)
         frame = FrameResult(folder.raw_rig(), rig, filtered, cloud, points, left_bgr)
         first = folder.summary['frames'][stack.used[0]]
         searched = [one['disparity_px'] for one in folder.summary['frames']]
@@ -123,14 +124,13 @@ def merge_over_time(
 
 
 def _check(folder: MeasuredFolder, output: Path) -> None:
-    """Raise a MeasurementError if the frames cannot be averaged."""
+    """Raise an error if the frames cannot be averaged, or not there."""
     if folder.count < 2:
         raise MeasurementError(
             f'{folder.folder} holds {folder.count} frames; at least 2 of a rig that stands still'
             ' are needed: reconstruct more pairs'
         )
-    if output.resolve() == folder.folder.resolve():
-        raise MeasurementError(f'{output} holds the frames to merge; choose another folder')
+    check_apart(output, folder.folder)
     for number in range(folder.count):
         if folder.rig(number) is not folder.rig(0):
             raise MeasurementError(
@@ -188,8 +188,11 @@ class _Stack:
             )
         self.disputed, self.single_px = 0.0, float('nan')
 
-    def filtered(self) -> Filtered:
-        """Return the averaged disparities; raises a MeasurementError if most do not agree."""
+    def filtered(self) -> tuple[Filtered, npt.NDArray[np.uint16]]:
+        """Return the averaged disparities, and of how many frames each is the mean.
+
+        Raises a MeasurementError if most do not agree.
+        """
         height, width = self._size
         rows = max(1, _BAND_BYTES // (8 * width * len(self.used)))
         bands = [slice(row, min(row + rows, height)) for row in range(0, height, rows)]
@@ -212,9 +215,11 @@ class _Stack:
         sigma_px = np.where(seen, sigma_of(measured, seen), np.sqrt(every.stated_px2))
         validity = np.where(seen, np.uint8(Validity.MEASURED), self._others)
         validity[~known] = np.uint8(Validity.AMBIGUOUS)
-        return Filtered(
+        averaged = Filtered(
             np.where(known, disparity_px, nan), np.where(known, sigma_px, nan), validity, 0, 0.0
         )
+        count = np.where(seen, measured.agreeing, np.where(known, every.agreeing, 0))
+        return averaged, count.astype(np.uint16)
 
     def _averages(self, band: slice, bands: int) -> tuple[TimeAverage, TimeAverage]:
         """Return the averages of the measured and of all values in a band of rows."""

@@ -13,12 +13,13 @@ import numpy as np
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS, formats_named
 from binocular_recon.apps.stored_frame import stored_frames
+from binocular_recon.apps.summary_entries import STATIONS
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ConfigError, MeasurementError
 from binocular_recon.io.exports.placement import Placement, read_placement
 from binocular_recon.io.exports.point_table import SIGMAS, PointTable
-from binocular_recon.io.files import ClaimedFolder, complete_files, write_json
+from binocular_recon.io.files import ClaimedFolder, check_apart, complete_files, write_json
 from binocular_recon.io.ply import CAMERA_FRAME
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.merging.overlap import Pose, find_pose, surface_distances
@@ -139,7 +140,7 @@ def merge_stations(
             for spec in specs.values():
                 spec.write(parts / f'cloud{spec.ending}', table)
             write_json(
-                parts / 'stations.json',
+                parts / STATIONS,
                 {'voxel_size_m': voxel_size_m, 'crs': system or None, 'stations': entries},
             )
     finally:
@@ -153,8 +154,7 @@ def _check(folder: MeasuredFolder, output: Path) -> None:
             f'{folder.folder} holds {folder.count} frames, a station has one: average the frames'
             f' of a rig that stood still first (merge {folder.folder} --output DIR)'
         )
-    if output.resolve() == folder.folder.resolve():
-        raise ConfigError(f'{output} is one of the stations; choose another folder')
+    check_apart(output, folder.folder)
 
 
 def _placed(folders: Sequence[MeasuredFolder]) -> list[Station]:

@@ -8,6 +8,7 @@ import numpy as np
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
+from binocular_recon.rotations import rigid_fit
 
 
 def mark_errors_m(marks_m: FloatArray, target: Target) -> FloatArray:
@@ -56,8 +57,7 @@ def _point_errors(marks: FloatArray, points: FloatArray) -> FloatArray:
     errors = np.full(len(marks), np.nan)
     if len(known) < 4:
         return errors
-    u, _, vt = np.linalg.svd(centred.T @ known)
-    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    turn = rigid_fit(known, centred)[0]
     distances = np.maximum(np.linalg.norm(known, axis=1), 1e-9)
     errors[seen] = np.sum((centred @ turn - known) * known, axis=1) / distances
     return errors

@@ -18,7 +18,7 @@ import numpy as np
 
 from binocular_recon import __version__
 from binocular_recon.errors import FileError
-from binocular_recon.io.exports.point_table import CHUNK, PointChunk, PointTable
+from binocular_recon.io.exports.point_table import CHUNK, WHOLE, PointChunk, PointTable
 from binocular_recon.io.exports.reference_system import wkt_of
 from binocular_recon.io.files import complete_files
 from binocular_recon.machine import optional_package
@@ -26,7 +26,7 @@ from binocular_recon.machine import optional_package
 _PREFIX, _URI = 'sd', 'urn:binocular_recon:e57:standard-deviations:1'
 _DESCRIPTION = (
     'intensity is sigma_z, one standard deviation in metres; sd:sigma_x, sd:sigma_y, sd:sigma_z'
-    ' likewise; sd:validity: 1 measured, 2 filled'
+    ' likewise; sd:validity: 1 measured, 2 filled; sd:count: averaged images or stations'
 )
 _XYZ = ('cartesianX', 'cartesianY', 'cartesianZ')
 _RGB = ('colorRed', 'colorGreen', 'colorBlue')
@@ -149,7 +149,10 @@ class _Scan:
                 name,
                 lib.FloatNode(file, 0.0, lib.E57_SINGLE, -lib.E57_FLOAT_MAX, lib.E57_FLOAT_MAX),
             )
-        prototype.set(_field('validity'), lib.IntegerNode(file, 0, 0, 255))
+        for name, kind in WHOLE.items():
+            if name in self._table.scalar_names:
+                most = 256**kind.itemsize - 1
+                prototype.set(_field(name), lib.IntegerNode(file, 0, 0, most))
         return prototype
 
     @property

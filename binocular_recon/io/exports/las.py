@@ -14,7 +14,7 @@ import numpy as np
 from binocular_recon import __version__
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import FileError, shortened
-from binocular_recon.io.exports.point_table import PointChunk, PointTable
+from binocular_recon.io.exports.point_table import WHOLE, PointChunk, PointTable
 from binocular_recon.io.exports.reference_system import reference_system
 from binocular_recon.io.files import complete_file
 from binocular_recon.machine import optional_package
@@ -25,7 +25,7 @@ _REACH = 2**31 - 1
 # 16-bit colour from 8-bit: 255 becomes 65535.
 _COLOUR_16 = 257
 _SIGMA_TEXT = 'one standard deviation, m'
-_VALIDITY_TEXT = '1 measured, 2 filled'
+_TEXTS = {'validity': '1 measured, 2 filled', 'count': 'averaged images or stations'}
 _FORMAT, _VERSION = 7, '1.4'
 
 
@@ -84,12 +84,9 @@ def _header(laspy: Any, table: PointTable, low: FloatArray, high: FloatArray) ->
     header.generating_software = f'binocular_recon {__version__}'
     header.system_identifier = 'stereo rig'
     for name in table.scalar_names:
-        sigma = name.startswith('sigma')
-        header.add_extra_dim(
-            laspy.ExtraBytesParams(
-                name, 'f4' if sigma else 'u1', description=_SIGMA_TEXT if sigma else _VALIDITY_TEXT
-            )
-        )
+        kind = WHOLE.get(name, np.dtype(np.float32)).str[1:]
+        text = _TEXTS.get(name, _SIGMA_TEXT)
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind, description=text))
     text = f'{"; ".join(table.frame_lines)}; standard deviations hold the share of {table.shares}'
     header.vlrs.append(
         laspy.VLR('LASF_Spec', 3, 'text area description', text.encode()[:65535] + b'\0')

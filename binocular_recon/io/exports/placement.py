@@ -19,7 +19,7 @@ from binocular_recon.rotations import similarity_derivatives
 
 _REMEDY = 'georeference again, or delete it to stay in the frame of the rig'
 # Small turn, shift and relative scale.
-_PARAMETERS = 7
+PARAMETERS = 7
 _SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
 # A larger element of R R^T - I is no rotation.
 _ROTATION_TOLERANCE = 1e-6
@@ -121,7 +121,7 @@ class Georeference:
         Rotation from the left rectified frame to the site's.
     scale : float
     pivot, pivot_site : (3,) float64
-        A point in both frames, m.
+        A point in both frames, m, near which the transformation is known best.
     covariance : (7, 7) float64
         As that of `Placement`, without the share of the calibration.
     calibration : (7, p) float64
@@ -141,16 +141,22 @@ class Georeference:
     pivot_site: FloatArray
     covariance: FloatArray
     calibration: FloatArray
-    names: tuple[str, str, str]
-    level: bool
-    epsg: int | None
+    names: tuple[str, str, str] = ('X', 'Y', 'Z')
+    level: bool = True
+    epsg: int | None = None
+
+    @property
+    def t(self) -> FloatArray:
+        """Where the left camera is, (3,) m: ``site = scale R point + t``."""
+        place: FloatArray = self.pivot_site - self.scale * self.R @ self.pivot
+        return place
 
     @property
     def placement(self) -> Placement:
         """Where a cloud lies; raises a CalibrationError if R is not a rotation."""
         return Placement(
             self.R,
-            self.pivot_site - self.scale * self.R @ self.pivot,
+            self.t,
             self.scale,
             self.covariance,
             self.pivot_site,
@@ -180,14 +186,14 @@ def read_georeference(path: Path) -> Georeference:
         by_calibration = errors['by_calibration']
         calibration = (
             numbers('by_calibration', by_calibration, CalibrationError)
-            if by_calibration != [[]] * _PARAMETERS
-            else np.empty((_PARAMETERS, 0))
+            if by_calibration != [[]] * PARAMETERS
+            else np.empty((PARAMETERS, 0))
         )
         names = content['axes']
         if (
             (R.shape, pivot.shape, pivot_site.shape) != ((3, 3), (3,), (3,))
-            or covariance.shape != (_PARAMETERS, _PARAMETERS)
-            or calibration.shape[:-1] != (_PARAMETERS,)
+            or covariance.shape != (PARAMETERS, PARAMETERS)
+            or calibration.shape[:-1] != (PARAMETERS,)
         ):
             raise CalibrationError('its matrices have other sizes')
         if (np.diag(covariance) < 0).any():

@@ -28,6 +28,8 @@ from binocular_recon.stereo.triangulation import Cloud
 # Points of a part: some 20 MB with all their fields.
 CHUNK = 200_000
 SIGMAS = ('sigma_x', 'sigma_y', 'sigma_z')
+# Scalars that are whole numbers, and their kinds.
+WHOLE: dict[str, np.dtype[Any]] = {'validity': np.dtype(np.uint8), 'count': np.dtype(np.uint16)}
 
 
 class PointChunk(NamedTuple):
@@ -38,8 +40,9 @@ class PointChunk(NamedTuple):
     xyz : (n, 3) float64
         Metres.
     rgb : (n, 3) uint8
-    scalars : dict of str to (n,) float32 or uint8
-        ``sigma_x``, ``sigma_y``, ``sigma_z`` or the last only, m, and ``validity``.
+    scalars : dict of str to (n,) float32 or a kind of `WHOLE`
+        ``sigma_x``, ``sigma_y``, ``sigma_z`` or the last only, m, ``validity`` and, of merged
+        frames or stations, ``count``: how many of them were averaged.
 
     """
 
@@ -80,9 +83,11 @@ class PointTable:
         validity: npt.NDArray[np.uint8],
         bgr: npt.NDArray[np.uint8],
         frame: tuple[str, ...] = (CAMERA_FRAME,),
+        count: npt.NDArray[np.uint16] | None = None,
     ) -> PointTable:
-        """Return the valid points of a cloud; arguments as for `write_ply`."""
-        return cls(vertices_of(cloud, validity, bgr), sigma_shares(cloud.calibrated), frame)
+        """Return the valid points of a cloud; arguments as for `vertices_of`."""
+        vertices = vertices_of(cloud, validity, bgr, count)
+        return cls(vertices, sigma_shares(cloud.calibrated), frame)
 
     @classmethod
     def of_file(cls, path: Path) -> PointTable:
@@ -142,8 +147,9 @@ class PointTable:
                 sigmas = {name: scalars[name] for name in SIGMAS if name in scalars}
                 scalars |= self.placement.sigmas(xyz, sigmas)
                 xyz = self.placement.points(xyz)
-            if 'validity' in scalars:
-                scalars['validity'] = scalars['validity'].astype(np.uint8)
+            for name, kind in WHOLE.items():
+                if name in scalars:
+                    scalars[name] = scalars[name].astype(kind)
             rgb = np.stack([part[name] for name in ('red', 'green', 'blue')], axis=-1)
             yield PointChunk(xyz, rgb, {name: scalars[name] for name in self.scalar_names})
 

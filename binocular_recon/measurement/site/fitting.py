@@ -2,8 +2,7 @@
 """The rigid transformation between points of two frames, by generalised least squares.
 
 All errors count with their correlation: of the control points, of picks and matching, and of the
-calibration, which all points share. Source, for the start: Umeyama, "Least-squares estimation of
-transformation parameters" (1991).
+calibration, which all points share.
 """
 
 from __future__ import annotations
@@ -15,11 +14,12 @@ import numpy as np
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
+from binocular_recon.io.exports.placement import PARAMETERS
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.site.control_points import ControlPoint
-from binocular_recon.measurement.site.tie import PARAMETERS, SiteTie
+from binocular_recon.measurement.site.tie import SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined
-from binocular_recon.rotations import rotation, similarity_derivatives
+from binocular_recon.rotations import rigid_fit, rotation, similarity_derivatives
 
 LEAST_POINTS = 3
 _ITERATIONS = 20
@@ -76,8 +76,7 @@ class Problem:
         """Return the best transformation of some points."""
         here, there = self.places[used], self.site[used]
         pivot, pivot_site = here.mean(axis=0), there.mean(axis=0)
-        u, _, vt = np.linalg.svd((there - pivot_site).T @ (here - pivot))
-        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        R = rigid_fit(here, there)[0]
         scale = self._scale
         for _ in range(_ITERATIONS):
             weight = np.linalg.inv(self.covariance(R, scale, used))

@@ -13,9 +13,10 @@ import numpy as np
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
+from binocular_recon.io.exports.placement import PARAMETERS
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.planes import fitted_ground, height_above, normal_of
-from binocular_recon.measurement.site.tie import PARAMETERS, SiteTie
+from binocular_recon.measurement.site.tie import SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined, propagate
 
 # How upright things are, one standard deviation, rad.

@@ -10,55 +10,26 @@ from typing import Any
 import numpy as np
 
 from binocular_recon.camera import FloatArray
-from binocular_recon.io.exports.placement import read_georeference
+from binocular_recon.io.exports.placement import PARAMETERS, Georeference, read_georeference
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, propagate, root_of
 from binocular_recon.rotations import rotation
 
 TIE_FILE = 'georeference.json'
-# Small turn (rad, about the site's axes), shift (m) and relative scale.
-PARAMETERS = 7
 
 
 @dataclass(frozen=True, eq=False)
-class SiteTie:
-    """``site = pivot_site + scale R (point - pivot)``.
+class SiteTie(Georeference):
+    """A georeference that takes points to the site with their errors.
 
     Attributes
     ----------
-    R : (3, 3) float64
-        Rotation from the left rectified frame to the site's.
-    scale : float
-    pivot, pivot_site : (3,) float64
-        A point in both frames, m, near which the transformation is known best.
-    covariance : (7, 7) float64
-        Of a small turn, a shift and the relative scale, without the share of the calibration.
-    calibration : (7, p) float64
-        How they move with the parameters of the rig's calibration; p may be 0.
-    names : tuple of str
-        Names of the three axes.
-    level : bool
-        Whether the third axis is up.
     facts : dict
         What else the file states.
 
     """
 
-    R: FloatArray
-    scale: float
-    pivot: FloatArray
-    pivot_site: FloatArray
-    covariance: FloatArray
-    calibration: FloatArray
-    names: tuple[str, str, str] = ('X', 'Y', 'Z')
-    level: bool = True
     facts: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def t(self) -> FloatArray:
-        """Where the left camera is, (3,) m: ``site = scale R point + t``."""
-        place: FloatArray = self.pivot_site - self.scale * self.R @ self.pivot
-        return place
 
     def apply(self, points_xyz: FloatArray) -> FloatArray:
         """Return points (..., 3) of the rectified frame in the site's, float64, m."""
@@ -125,8 +96,4 @@ def transformed(R: FloatArray, scale: float, offset: FloatArray, moved: FloatArr
 
 def read_tie(path: Path) -> SiteTie:
     """Read a ``georeference.json``; raises as `read_georeference`."""
-    known = read_georeference(path)
-    return SiteTie(
-        known.R, known.scale, known.pivot, known.pivot_site, known.covariance, known.calibration,
-        known.names, known.level,
-    )  # fmt: skip
+    return SiteTie(**vars(read_georeference(path)))

@@ -182,7 +182,7 @@ class FilterStage:
             options = node.options.of(CloudMessageOptions)
             colour = to_bgr8(measured.image, measured.levels) if options.use_color else None
             points = PointSet(cloud, filtered.validity, colour)
-            kept, validity, colour = thin(points, node.options.of(CloudConfig))
+            kept, validity, colour, _ = thin(points, node.options.of(CloudConfig))
             fill_cloud(
                 self._cloud,
                 kept,

@@ -23,7 +23,7 @@ from binocular_recon.io.exports.e57 import write_e57
 from binocular_recon.io.exports.las import write_las
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.exports.ply_table import write_ply_table
-from binocular_recon.io.exports.point_table import PointTable
+from binocular_recon.io.exports.point_table import WHOLE, PointTable
 from binocular_recon.io.ply import read_ply, write_ply
 from binocular_recon.rotations import rotation
 from binocular_recon.stereo.triangulation import Cloud
@@ -53,7 +53,8 @@ def table(rng: np.random.Generator) -> PointTable:
     sigma = np.sqrt(along**2 + 0.003**2 * np.array([1, 1, 0])).astype(np.float32)
     validity = rng.choice([1, 2 | 16], (20, 30)).astype(np.uint8)
     bgr = rng.integers(0, 256, (20, 30, 3), np.uint8)
-    return PointTable.of_cloud(Cloud(points_xyz, sigma), validity, bgr)
+    count = rng.integers(1, 1 << 16, (20, 30)).astype(np.uint16)
+    return PointTable.of_cloud(Cloud(points_xyz, sigma), validity, bgr, count=count)
 
 
 @pytest.fixture(scope='module')
@@ -124,7 +125,7 @@ def test_las_keeps_a_tenth_of_a_millimetre_at_utm_coordinates(
     np.testing.assert_array_equal(
         np.stack([las.red, las.green, las.blue], -1), rgb * np.uint16(257)
     )
-    assert list(las.point_format.extra_dimension_names) == [*SIGMAS, 'validity']
+    assert list(las.point_format.extra_dimension_names) == [*SIGMAS, *WHOLE]
     for name, values in scalars.items():
         assert las[name].dtype == values.dtype
         np.testing.assert_array_equal(las[name], values)
@@ -145,17 +146,17 @@ def test_e57_has_colour_sigmas_and_double_precision(placed: PointTable, tmp_path
         read = file.read_scan(0, intensity=True, colors=True, ignore_missing_fields=True)
         header = file.get_header(0)
         assert header.point_count == COUNT - 1
-        assert {'sd:sigma_x', 'sd:sigma_y', 'sd:sigma_z', 'sd:validity'} <= set(
-            header.point_fields
-        )
+        assert {f'sd:{name}' for name in scalars} <= set(header.point_fields)
         assert header.xMinimum == xyz[:, 0].min()
         wkt = file.root['coordinateMetadata'].value()
         buffers = pye57.libe57.VectorSourceDestBuffer()
-        sigma, bits = np.empty(COUNT - 1, np.float32), np.empty(COUNT - 1, np.uint8)
-        for name, values in (('sd:sigma_x', sigma), ('sd:validity', bits)):
-            size = COUNT - 1
+        size = COUNT - 1
+        stored = {name: np.empty(size, values.dtype) for name, values in scalars.items()}
+        for name, values in stored.items():
             buffers.append(
-                pye57.libe57.SourceDestBuffer(file.image_file, name, values, size, True, True)
+                pye57.libe57.SourceDestBuffer(
+                    file.image_file, f'sd:{name}', values, size, True, True
+                )
             )
         header.points.reader(buffers).read()
     for axis, name in enumerate(('cartesianX', 'cartesianY', 'cartesianZ')):
@@ -163,8 +164,8 @@ def test_e57_has_colour_sigmas_and_double_precision(placed: PointTable, tmp_path
     for axis, name in enumerate(('colorRed', 'colorGreen', 'colorBlue')):
         np.testing.assert_array_equal(read[name], rgb[:, axis])
     np.testing.assert_array_equal(read['intensity'], scalars['sigma_z'])
-    np.testing.assert_array_equal(sigma, scalars['sigma_x'])
-    np.testing.assert_array_equal(bits, scalars['validity'])
+    for name, values in stored.items():
+        np.testing.assert_array_equal(values, scalars[name])
     assert pyproj.CRS.from_wkt(wkt).to_epsg() == 32632
     before = path.read_bytes()
     write_e57(path, placed)
@@ -179,9 +180,7 @@ def test_ply_has_double_precision_where_it_needs_it(
         vertices, comments = read_ply(tmp_path / 'a.ply')
         assert vertices.dtype['x'].str == kind and len(vertices) == COUNT - 1
         assert vertices.dtype.names is not None
-        assert vertices.dtype.names[6:] == tuple(
-            f'scalar_{name}' for name in (*SIGMAS, 'validity')
-        )
+        assert vertices.dtype.names[6:] == tuple(f'scalar_{name}' for name in (*SIGMAS, *WHOLE))
         xyz = np.stack([vertices[:][name] for name in 'xyz'], axis=-1)
         np.testing.assert_array_equal(xyz, whole(one)[0])
         assert any('matching and calibration' in text for text in comments)

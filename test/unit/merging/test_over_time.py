@@ -15,9 +15,10 @@ from binocular_recon.apps.survey.merging import merge_over_time
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
-from binocular_recon.errors import FileError, MeasurementError
+from binocular_recon.errors import ConfigError, FileError, MeasurementError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.io.ply import read_ply
 from binocular_recon.merging.over_time import average
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.matching.matcher import Match
@@ -148,6 +149,12 @@ def test_what_moves_through_the_scene_vanishes(tmp_path: Path) -> None:
     assert np.abs(merged.left_bgr[BOX] - still).max() < 8
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert summary['merged']['frames'] == 7 and summary['merged']['disputed'] < 0.002
+    # the cloud says that five of the seven frames saw what is behind the box
+    vertices = read_ply(tmp_path / 'out' / '000000.ply')[0][:]
+    count = vertices['scalar_count']
+    assert count.max() == 7 and np.mean(count >= 5) > 0.999
+    hidden = merged.disparity_px[BOX].size
+    assert np.count_nonzero(count <= 5) == pytest.approx(hidden, rel=0.05)
 
 
 def test_a_frame_after_a_knock_is_left_out_and_a_moving_rig_refused(tmp_path: Path) -> None:
@@ -182,7 +189,7 @@ def test_folders_that_cannot_be_merged(tmp_path: Path, capsys: pytest.CaptureFix
     with pytest.raises(MeasurementError, match='holds 1 frames; at least 2'):
         merge_over_time(one, tmp_path / 'out')
     two = stored(tmp_path / 'two', [scene.frame() for _ in range(2)])
-    with pytest.raises(MeasurementError, match='choose another folder'):
+    with pytest.raises(ConfigError, match='choose another folder'):
         merge_over_time(two, tmp_path / 'two')
     other = json.loads((tmp_path / 'two' / 'summary.json').read_text())
     calibration = json.loads(json.dumps(other['calibration']))

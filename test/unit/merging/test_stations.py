@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
+from binocular_recon.apps.stored_frame import stored_frames
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.apps.survey.stations import merge_stations
 from binocular_recon.camera import Camera, FloatArray, StereoRig
 from binocular_recon.cli.main import main
 from binocular_recon.config import ChainConfig
-from binocular_recon.errors import ConfigError, DependencyError, MeasurementError
+from binocular_recon.errors import ConfigError, DependencyError, FileError, MeasurementError
 from binocular_recon.images import ByteImage
 from binocular_recon.io.exports.point_table import PointChunk
 from binocular_recon.io.files import write_json
@@ -160,6 +161,10 @@ def test_stations_that_overlap_become_one_cloud(
     alone = [len(np.unique(np.floor(one.frame(0).points_xyz.reshape(-1, 3) / 0.05), axis=0))
              for one in stations]  # fmt: skip
     assert max(alone) < len(points) < sum(alone)
+    with pytest.raises(FileError, match='holds the cloud of several stations, without images'):
+        MeasuredFolder(tmp_path)
+    with pytest.raises(FileError, match='give the output folder of one station'):
+        next(stored_frames(tmp_path))
     entries = json.loads((tmp_path / 'stations.json').read_text())['stations']
     assert entries[0]['shared_features'] is None
     for entry in entries:
@@ -209,7 +214,7 @@ def test_stations_that_cannot_be_joined(
     several = stored(tmp_path / 'several', [frame, frame])
     with pytest.raises(MeasurementError, match='holds 2 frames, a station has one'):
         merge_stations([stations[0], several], tmp_path / 'out', 0.05)
-    with pytest.raises(ConfigError, match='is one of the stations'):
+    with pytest.raises(ConfigError, match='holds what the result is made of'):
         merge_stations(stations, stations[1].folder, 0.05)
     with pytest.raises(ConfigError, match='must be among ply'):
         merge_stations(stations, tmp_path / 'out', 0.05, formats=['tiff'])
@@ -243,3 +248,4 @@ def test_points_of_a_cube_are_weighted_and_keep_what_they_share() -> None:
     assert low['scalar_sigma_x'] == pytest.approx(0.06 * np.sqrt(0.8 * 0.2), rel=1e-4)
     assert low['scalar_sigma_y'] == pytest.approx((0.01 * 4 + 0.02) / 5, rel=1e-4)
     assert (low['scalar_validity'], high['scalar_validity']) == (1, 2)
+    assert (low['scalar_count'], high['scalar_count']) == (2, 1)

@@ -29,12 +29,13 @@ def points(seed: int, sigmas: int = 3) -> PointSet:
     choices = [Validity.MEASURED, FILLED, Validity.FILLED | Validity.LOW_TEXTURE]
     validity = rng.choice(choices, (ROWS, COLUMNS), p=[0.3, 0.4, 0.3]).astype(np.uint8)
     bgr = rng.integers(0, 256, (ROWS, COLUMNS, 3)).astype(np.uint8)
-    return PointSet(Cloud(xyz, sigma), validity, bgr)
+    count = rng.integers(1, 500, (ROWS, COLUMNS)).astype(np.uint16)
+    return PointSet(Cloud(xyz, sigma), validity, bgr, count)
 
 
 def naive_voxels(given: PointSet, size: float) -> dict[tuple[int, ...], list[float]]:
-    """Return point, sigmas, validity and colour of each voxel, one pixel after the other."""
-    assert given.bgr is not None
+    """Return point, sigmas, colour, validity and frames of each voxel, pixel by pixel."""
+    assert given.bgr is not None and given.averaged is not None
     members = defaultdict(list)
     for row in range(given.validity.shape[0]):
         for column in range(given.validity.shape[1]):
@@ -54,7 +55,7 @@ def naive_voxels(given: PointSet, size: float) -> dict[tuple[int, ...], list[flo
             for k in range(image.shape[2]):
                 values = (w * float(image[p][k]) for w, p in zip(weights, counting, strict=True))
                 means.append(sum(values) / total)
-        found[cell] = [*means, bits]
+        found[cell] = [*means, bits, min(int(given.averaged[p]) for p in counting)]
     return found
 
 
@@ -68,16 +69,18 @@ def test_a_voxel_is_the_weighted_mean_of_its_points(
     given = points(1, sigmas)
     given.cloud.points_xyz[:, : COLUMNS // 2] *= np.float32(scale)
     expected = naive_voxels(given, size)
-    cloud, validity, bgr = thin(given, CloudConfig(voxel_size=size))
-    assert bgr is not None and cloud.points_xyz.shape == (1, len(expected), 3)
+    cloud, validity, bgr, count = thin(given, CloudConfig(voxel_size=size))
+    assert (
+        bgr is not None and count is not None and cloud.points_xyz.shape == (1, len(expected), 3)
+    )
     kinds = set()
     for k in range(len(expected)):
         xyz = cloud.points_xyz[0, k]
         naive = expected.pop(tuple(int(v) for v in np.floor(xyz.astype(float) / size)))
         mean = [*xyz, *cloud.sigma_m[0, k]]
         np.testing.assert_allclose(mean, naive[: 3 + sigmas], rtol=1e-5, atol=1e-6)
-        assert np.abs(bgr[0, k] - np.array(naive[3 + sigmas : -1])).max() <= 0.5001
-        assert validity[0, k] == naive[-1]
+        assert np.abs(bgr[0, k] - np.array(naive[3 + sigmas : -2])).max() <= 0.5001
+        assert [validity[0, k], count[0, k]] == naive[-2:]
         kinds.add(int(validity[0, k]))
     assert not expected and Validity.MEASURED in kinds
 
@@ -115,8 +118,9 @@ def test_sigma_of_a_voxel_bounds_the_error_of_its_mean() -> None:
 
 def test_every_nth_row_and_column() -> None:
     given = points(2)
-    cloud, validity, bgr = thin(given, CloudConfig(decimation=4))
+    cloud, validity, bgr, count = thin(given, CloudConfig(decimation=4))
     assert bgr is not None and given.bgr is not None
+    assert count is not None and given.averaged is not None
     assert cloud.points_xyz.shape == (6, 8, 3)
     for row in range(6):
         for column in range(8):
@@ -126,6 +130,7 @@ def test_every_nth_row_and_column() -> None:
             np.testing.assert_array_equal(cloud.sigma_m[row, column], given.cloud.sigma_m[pixel])
             assert validity[row, column] == given.validity[pixel]
             assert bgr[row, column].tolist() == given.bgr[pixel].tolist()
+            assert count[row, column] == given.averaged[pixel]
 
 
 def test_voxels_of_a_decimated_cloud() -> None:
@@ -138,9 +143,10 @@ def test_nothing_is_changed_by_default_and_nothing_can_be_left() -> None:
     given = points(4)
     assert thin(given, CloudConfig()) is given
     given.cloud.points_xyz[:] = np.nan
-    cloud, validity, bgr = thin(given, CloudConfig(voxel_size=0.1))
+    cloud, validity, bgr, count = thin(given, CloudConfig(voxel_size=0.1))
     assert cloud.points_xyz.shape == (1, 0, 3) and validity.shape == (1, 0)
     assert bgr is not None and bgr.shape == (1, 0, 3)
+    assert count is not None and count.shape == (1, 0)
 
 
 @pytest.mark.parametrize(
