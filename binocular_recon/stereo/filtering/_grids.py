@@ -12,6 +12,7 @@ import numpy.typing as npt
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.stereo.filtering import _lattice_kernels as lattice_kernels
+from binocular_recon.stereo.filtering import _region_kernels as region_kernels
 from binocular_recon.stereo.filtering._lattice_kernels import OVERLAP, PAD, Lattice, Vector
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
 
@@ -80,6 +81,34 @@ class Level:
         sums = np.zeros((len(self.lattice.factors), 3))
         self.run(function, self.lattice, *args, sums)
         return sums
+
+
+class Regions:
+    """The nodes of a level that strong links hold together, each region corrected as a whole.
+
+    Parameters
+    ----------
+    level : Level
+        Its memory is made once; `find` follows its links.
+
+    """
+
+    def __init__(self, level: Level) -> None:
+        self._lattice = level.lattice
+        self._labels, self._parents = np.zeros((2, level.lattice.excess.size), np.int32)
+        self._diagonal, self._sums = np.zeros((2, 1))
+
+    def find(self, strong: float) -> None:
+        """Find the regions, held together by links above ``strong``."""
+        lattice, labels = self._lattice, self._labels
+        count = region_kernels.label_regions(lattice, strong, labels, self._parents)
+        self._diagonal, self._sums = np.zeros((2, count + 1))
+        region_kernels.region_diagonal(lattice, labels, self._diagonal)
+
+    def solve(self, rhs: Vector, out: Vector) -> None:
+        """Write the constant in each region that takes the sum of rhs over it away; else 0."""
+        sums = self._diagonal, self._sums
+        region_kernels.solve_regions(self._lattice, self._labels, *sums, rhs, out)
 
 
 class Coarser(NamedTuple):

@@ -17,9 +17,8 @@ import numpy.typing as npt
 from binocular_recon._simd import LANES
 from binocular_recon.stereo.filtering import _gradient_kernels as gradient_kernels
 from binocular_recon.stereo.filtering import _reduction_kernels as reduction
-from binocular_recon.stereo.filtering import _region_kernels as regions
 from binocular_recon.stereo.filtering import _transfer_kernels as transfers
-from binocular_recon.stereo.filtering._grids import Coarser, Level, padded_stride
+from binocular_recon.stereo.filtering._grids import Coarser, Level, Regions, padded_stride
 from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
 from binocular_recon.stereo.filtering._reduction_kernels import RedBlackGrid
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
@@ -81,7 +80,7 @@ class System:
         self._rhs, self._pixel_values = np.zeros((2, padded), np.float32)
         self._vectors = [self._black.vector() for _ in range(6)]
         self._coarser = self._make_grids()
-        self._labels, self._parents = np.zeros((2, self._black.lattice.excess.size), np.int32)
+        self._regions = Regions(self._black)
 
     def _make_grids(self) -> list[Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
@@ -123,7 +122,7 @@ class System:
         black.run(reduction.invert_red, grid)
         black.run(reduction.reduce_links, grid, black.lattice.links, black.lattice.excess)
         black.factorise()
-        self._find_regions()
+        self._regions.find(_STRONG)
         links, excess = grid.links, grid.weight
         for level, transfer in self._coarser:
             level.run(transfers.set_line_weights, links, transfer)
@@ -132,16 +131,6 @@ class System:
             level.run(transfers.restrict, excess, transfer, level.lattice.excess)
             level.factorise()
             links, excess = level.lattice.links, level.lattice.excess
-
-    def _find_regions(self) -> None:
-        lattice, labels = self._black.lattice, self._labels
-        count = regions.label_regions(lattice, _STRONG, labels, self._parents)
-        self._region_diagonal, self._region_sums = np.zeros((2, count + 1))
-        regions.region_diagonal(lattice, labels, self._region_diagonal)
-
-    def _solve_regions(self, rhs: Vector) -> None:
-        sums = self._region_diagonal, self._region_sums
-        regions.solve_regions(self._black.lattice, self._labels, *sums, rhs, self._black.work)
 
     def solve(self, data: Vector, tolerance: float, initial: Vector | None = None) -> Solution:
         """Solve for one b.
@@ -205,7 +194,7 @@ class System:
     def _precondition(self, rhs: Vector, out: Vector) -> None:
         """Write roughly ``A^-1 rhs`` of the black pixels."""
         black = self._black
-        self._solve_regions(rhs)
+        self._regions.solve(rhs, black.work)
         black.smooth(rhs, black.work, black.x, correct=True)
         if self._coarser:
             coarse, transfer = self._coarser[0]
