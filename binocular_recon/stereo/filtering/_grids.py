@@ -94,21 +94,25 @@ class Regions:
     """
 
     def __init__(self, level: Level) -> None:
-        self._lattice = level.lattice
+        self._level = level
         self._labels, self._parents = np.zeros((2, level.lattice.excess.size), np.int32)
-        self._diagonal, self._sums = np.zeros((2, 1))
+        self._inverse, self._values = np.zeros((2, 1))
 
     def find(self, strong: float) -> None:
         """Find the regions, held together by links above ``strong``."""
-        lattice, labels = self._lattice, self._labels
+        lattice, labels = self._level.lattice, self._labels
         count = region_kernels.label_regions(lattice, strong, labels, self._parents)
-        self._diagonal, self._sums = np.zeros((2, count + 1))
-        region_kernels.region_diagonal(lattice, labels, self._diagonal)
+        diagonal, self._values = np.zeros((2, count + 1))
+        region_kernels.region_diagonal(lattice, labels, diagonal)
+        # a region that nothing holds has no correction
+        self._inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
 
     def solve(self, rhs: Vector, out: Vector) -> None:
         """Write the constant in each region that takes the sum of rhs over it away; else 0."""
-        sums = self._diagonal, self._sums
-        region_kernels.solve_regions(self._lattice, self._labels, *sums, rhs, out)
+        level, labels, values = self._level, self._labels, self._values
+        region_kernels.sum_regions(level.lattice, labels, rhs, values)
+        values *= self._inverse
+        level.run(region_kernels.spread_regions, level.lattice, labels, values, out)
 
 
 class Coarser(NamedTuple):

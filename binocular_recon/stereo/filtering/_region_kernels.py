@@ -121,20 +121,22 @@ def region_diagonal(lattice: Lattice, labels: Labels, diagonal: Any) -> None:
 
 
 @kernel
-def solve_regions(
-    lattice: Lattice, labels: Labels, diagonal: Any, sums: Any, rhs: Vector, x: Vector
-) -> None:
-    """Write to x the constant in each region that takes the sum of rhs over it away."""
-    stride = lattice.stride
+def sum_regions(lattice: Lattice, labels: Labels, rhs: Vector, sums: Any) -> None:
+    """Write the sum of rhs by region; 0 for what is in none. In order, not by strips."""
     sums[:] = 0
     for y in range(lattice.rows):
-        first = node(stride, y, 0)
+        first = node(lattice.stride, y, 0)
         for k in range(first, first + lattice.width):
             sums[labels[k]] += rhs[k]
     sums[0] = 0
-    for label in range(1, len(sums)):
-        sums[label] /= diagonal[label]
-    for y in range(lattice.rows):
-        first = node(stride, y, 0)
+
+
+@kernel
+def spread_regions(
+    lattice: Lattice, labels: Labels, values: Any, out: Vector, start: int, stop: int
+) -> None:
+    """Write the value of its region to each node of rows."""
+    for y in range(start, stop):
+        first = node(lattice.stride, y, 0)
         for k in range(first, first + lattice.width):
-            x[k] = np.float32(sums[labels[k]])
+            out[k] = np.float32(values[labels[k]])

@@ -2,8 +2,9 @@
 """Solver of the filter's equations (C + lambda L_g) f = C b (eq. 13), fast enough for video.
 
 Conjugate gradients on the black half of the pixels, preconditioned by one multigrid cycle with
-black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother. It stops on
-an estimate of the largest error in px, not on a residual.
+black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother, before which
+each region that strong links hold together is corrected as a whole. It stops on an estimate of the
+largest error in px, not on a residual.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ _FIRST_EIGENVALUE = 0.35
 _LEAST_EIGENVALUE = 1e-6
 # The next step may reduce the error by this factor less than the previous ones suggest.
 _SAFETY = 4.0
-_STRONG = 4.0
+# Links above this hold a region together: four times the largest weight of the data.
+STRONG = 4.0
 # Rounding of float32, relative to the largest value.
 _ROUNDING = 1e-6
 
@@ -122,7 +124,7 @@ class System:
         black.run(reduction.invert_red, grid)
         black.run(reduction.reduce_links, grid, black.lattice.links, black.lattice.excess)
         black.factorise()
-        self._regions.find(_STRONG)
+        self._regions.find(STRONG)
         links, excess = grid.links, grid.weight
         for level, transfer in self._coarser:
             level.run(transfers.set_line_weights, links, transfer)
