@@ -78,7 +78,7 @@ def keep_measured(
 def _absolute_difference(one: Array, other: Array, out: Array) -> None:
     for i in range(len(out)):
         difference = abs(one[i] - other[i])
-        out[i] = difference if difference > LEAST_DIFFERENCE else LEAST_DIFFERENCE  # also if NaN
+        out[i] = max(LEAST_DIFFERENCE, difference)  # also if NaN
 
 
 @kernel

@@ -25,7 +25,7 @@ Labels = npt.NDArray[np.int32]
 
 
 @inline_kernel
-def _root(parents: Labels, label: int) -> int:
+def _root(parents: Labels, label: Any) -> Any:
     while parents[label] != label:
         parents[label] = parents[parents[label]]
         label = parents[label]
@@ -33,7 +33,7 @@ def _root(parents: Labels, label: int) -> int:
 
 
 @inline_kernel
-def _join(parents: Labels, one: int, other: int) -> int:
+def _join(parents: Labels, one: Any, other: Any) -> Any:
     """Join the trees of two labels, of which 0 is none; return a label of both."""
     if one == 0 or one == other:
         return other
@@ -46,36 +46,38 @@ def _join(parents: Labels, one: int, other: int) -> int:
 
 
 @inline_kernel
-def _kept(label: int, link: float, strong: float) -> int:
+def _kept(label: Any, link: Any, strong: Any) -> Any:
     """Return the label if the link to it is strong, else 0; without a branch."""
     return label * np.int32(link > strong)
 
 
 @inline_kernel
-def _differs(label: int, other: int) -> Any:
+def _differs(label: Any, other: Any) -> Any:
     return (label != 0) & (label != other)
 
 
 @kernel
 def label_regions(lattice: Lattice, least: float, labels: Labels, parents: Labels) -> int:
-    """Number the regions from 1 on, and return the last number; 0 = a node without strong links.
+    """Write the number of each node's region, from 1 on, and return the last one.
 
+    A node without strong links gets 0.
     ``labels`` (nodes,) must be 0 in the padding; ``parents`` (nodes,) is work space.
     """
-    links, stride, last, strong = lattice.links, lattice.stride, 0, np.float32(least)
+    links, stride, strong = lattice.links, lattice.stride, np.float32(least)
+    last: Any = 0
     east, one, two, three = links[0], links[1], links[2], links[3]
     for y in range(lattice.rows):
         back, first = offsets(lattice.earlier, y), node(stride, y, 0)
-        west = np.int32(0)
+        west: Any = np.int32(0)
         for k in range(first, first + lattice.width):
             a = _kept(west, east[k - 1], strong)
             b = _kept(labels[k - back[0]], one[k - back[0]], strong)
             c = _kept(labels[k - back[1]], two[k - back[1]], strong)
             d = _kept(labels[k - back[2]], three[k - back[2]], strong)
-            label = max(max(a, b), max(c, d))
+            label = max(a, b, c, d)
             if _differs(a, label) | _differs(b, label) | _differs(c, label) | _differs(d, label):
                 label = _join(parents, _join(parents, a, b), _join(parents, c, d))
-            begins = max(max(east[k], one[k]), max(two[k], three[k])) > strong
+            begins = max(east[k], one[k], two[k], three[k]) > strong
             fresh = np.int32(begins & (label == 0))
             last += fresh
             parents[last + 1 - fresh] = last + 1 - fresh

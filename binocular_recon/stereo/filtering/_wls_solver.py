@@ -2,8 +2,8 @@
 """Solver of the filter's equations (C + lambda L_g) f = C b (eq. 13), fast enough for video.
 
 Conjugate gradients on the black half of the pixels, preconditioned by one multigrid cycle with
-black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother, before which
-each region that strong links hold together is corrected as a whole. It stops on an estimate of the
+black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother; first, each
+region that strong links hold together is corrected as a whole. It stops on an estimate of the
 largest error in px, not on a residual.
 """
 

@@ -168,7 +168,7 @@ def test_hard_systems_equal_the_direct_solution(kind: str) -> None:
     rounding = 2 * ROUNDING_PX
     assert np.abs(solved.values - equations.exact).max() <= TOLERANCE_PX + rounding
     assert solved.error_estimate <= TOLERANCE_PX + rounding
-    assert solved.iterations <= 40
+    assert solved.iterations <= 60
 
 
 def patches(rng: np.random.Generator, shape: tuple[int, int]) -> Equations:
