@@ -100,7 +100,10 @@ def _links(
     height, width = data.shape
     east = np.empty((height, width - 1), np.float32)
     south = np.empty((height - 1, width), np.float32)
-    options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon
+    alpha = config.wls_alpha
+    # with exponent 0 every gradient term is 1
+    flat = 1.001 * float(kernels.LEAST_DIFFERENCE) ** alpha if alpha else 0.0
+    options = config.wls_lambda, config.wls_disparity_steps, config.wls_epsilon, flat
 
     def fill(start: int, stop: int) -> None:
         log = np.log(np.maximum(luminance[start : stop + 1], 0) + np.float32(1 / 255))
@@ -108,7 +111,7 @@ def _links(
         kernels.absolute_differences(log, east, south, start, stop)
         for gradient in (east[start:stop], south[start:stop]):
             if gradient.size:  # OpenCV refuses an empty array
-                cv2.pow(gradient, config.wls_alpha, gradient)
+                cv2.pow(gradient, alpha, gradient)
         kernels.gradients_to_links(data, east, south, options, start, stop)
 
     over_strips(fill, height)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.stereo.filtering import _lattice_kernels as lattice_kernels
+from binocular_recon.stereo.filtering import _region_kernels as region_kernels
 from binocular_recon.stereo.filtering._lattice_kernels import OVERLAP, PAD, Lattice, Vector
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
 
@@ -80,6 +81,38 @@ class Level:
         sums = np.zeros((len(self.lattice.factors), 3))
         self.run(function, self.lattice, *args, sums)
         return sums
+
+
+class Regions:
+    """The nodes of a level that strong links hold together, each region corrected as a whole.
+
+    Parameters
+    ----------
+    level : Level
+        Its memory is made once; `find` follows its links.
+
+    """
+
+    def __init__(self, level: Level) -> None:
+        self._level = level
+        self._labels, self._parents = np.zeros((2, level.lattice.excess.size), np.int32)
+        self._inverse, self._values = np.zeros((2, 1))
+
+    def find(self, strong: float) -> None:
+        """Find the regions, held together by links above ``strong``."""
+        lattice, labels = self._level.lattice, self._labels
+        count = region_kernels.label_regions(lattice, strong, labels, self._parents)
+        diagonal, self._values = np.zeros((2, count + 1))
+        region_kernels.region_diagonal(lattice, labels, diagonal)
+        # a region that nothing holds has no correction
+        self._inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
+
+    def solve(self, rhs: Vector, out: Vector) -> None:
+        """Write the constant in each region that takes the sum of rhs over it away; else 0."""
+        level, labels, values = self._level, self._labels, self._values
+        region_kernels.sum_regions(level.lattice, labels, rhs, values)
+        values *= self._inverse
+        level.run(region_kernels.spread_regions, level.lattice, labels, values, out)
 
 
 class Coarser(NamedTuple):

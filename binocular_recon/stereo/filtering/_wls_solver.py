@@ -2,8 +2,9 @@
 """Solver of the filter's equations (C + lambda L_g) f = C b (eq. 13), fast enough for video.
 
 Conjugate gradients on the black half of the pixels, preconditioned by one multigrid cycle with
-black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother. It stops on
-an estimate of the largest error in px, not on a residual.
+black-box interpolation, Galerkin coarse equations and incomplete Cholesky as smoother; first, each
+region that strong links hold together is corrected as a whole. It stops on an estimate of the
+largest error in px, not on a residual.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from binocular_recon._simd import LANES
 from binocular_recon.stereo.filtering import _gradient_kernels as gradient_kernels
 from binocular_recon.stereo.filtering import _reduction_kernels as reduction
 from binocular_recon.stereo.filtering import _transfer_kernels as transfers
-from binocular_recon.stereo.filtering._grids import Coarser, Level, padded_stride
+from binocular_recon.stereo.filtering._grids import Coarser, Level, Regions, padded_stride
 from binocular_recon.stereo.filtering._lattice_kernels import PAD, Vector
 from binocular_recon.stereo.filtering._reduction_kernels import RedBlackGrid
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
@@ -30,6 +31,8 @@ _FIRST_EIGENVALUE = 0.35
 _LEAST_EIGENVALUE = 1e-6
 # The next step may reduce the error by this factor less than the previous ones suggest.
 _SAFETY = 4.0
+# Links above this hold a region together: four times the largest weight of the data.
+STRONG = 4.0
 # Rounding of float32, relative to the largest value.
 _ROUNDING = 1e-6
 
@@ -79,6 +82,7 @@ class System:
         self._rhs, self._pixel_values = np.zeros((2, padded), np.float32)
         self._vectors = [self._black.vector() for _ in range(6)]
         self._coarser = self._make_grids()
+        self._regions = Regions(self._black)
 
     def _make_grids(self) -> list[Coarser]:
         """Make the grids of every 2nd, 4th, 8th ... pixel down to a single one."""
@@ -120,6 +124,7 @@ class System:
         black.run(reduction.invert_red, grid)
         black.run(reduction.reduce_links, grid, black.lattice.links, black.lattice.excess)
         black.factorise()
+        self._regions.find(STRONG)
         links, excess = grid.links, grid.weight
         for level, transfer in self._coarser:
             level.run(transfers.set_line_weights, links, transfer)
@@ -191,7 +196,8 @@ class System:
     def _precondition(self, rhs: Vector, out: Vector) -> None:
         """Write roughly ``A^-1 rhs`` of the black pixels."""
         black = self._black
-        black.smooth(rhs, black.x, black.x, correct=False)
+        self._regions.solve(rhs, black.work)
+        black.smooth(rhs, black.work, black.x, correct=True)
         if self._coarser:
             coarse, transfer = self._coarser[0]
             black.residual(rhs, black.x, black.work)

@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.sparse.csgraph import connected_components
 
 from binocular_recon import _jit
 from binocular_recon.config import ChainConfig
@@ -18,7 +20,7 @@ from binocular_recon.stereo.filtering import _grids
 from binocular_recon.stereo.filtering import _transfer_kernels as transfers
 from binocular_recon.stereo.filtering._equations import normal_equations
 from binocular_recon.stereo.filtering._lattice_kernels import PAD
-from binocular_recon.stereo.filtering._wls_solver import System
+from binocular_recon.stereo.filtering._wls_solver import STRONG, System
 from binocular_recon.stereo.matching import match
 from test import naive_wls
 
@@ -167,6 +169,60 @@ def test_hard_systems_equal_the_direct_solution(kind: str) -> None:
     assert np.abs(solved.values - equations.exact).max() <= TOLERANCE_PX + rounding
     assert solved.error_estimate <= TOLERANCE_PX + rounding
     assert solved.iterations <= 60
+
+
+def patches(rng: np.random.Generator, shape: tuple[int, int]) -> Equations:
+    """Make patches of any form, a few pixels wide, as they lie in holes: apart from each other."""
+    smooth = cv2.GaussianBlur(rng.random(shape).astype(np.float32), (0, 0), 1.2)
+    patch = np.digitize(smooth, np.quantile(smooth, np.linspace(0, 1, 8)[1:-1]))
+    link_east = np.where(patch[:, 1:] == patch[:, :-1], 200, 0.03)
+    link_south = np.where(patch[1:] == patch[:-1], 200, 0.03)
+    arrays = (rng.uniform(0, 100, shape), np.full(shape, 0.06), link_east, link_south)
+    return Equations(*(a.astype(np.float32) for a in arrays))
+
+
+@pytest.mark.parametrize('seed', [11, 12, 13])
+def test_patches_are_corrected_as_a_whole(seed: int) -> None:
+    """Iterations are 11 to 16; without the correction of regions, 37 to 43."""
+    equations = patches(np.random.default_rng(seed), (90, 120))
+    solved = equations.system.solve(equations.data, TOLERANCE_PX)
+    assert np.abs(solved.values - equations.exact).max() <= TOLERANCE_PX
+    assert solved.iterations <= 20
+
+
+@pytest.mark.kernel
+def test_regions_are_the_connected_ones() -> None:
+    """What strong links of the reduced matrix connect, and its sum over each, by dense algebra."""
+    shape = (10, 11)
+    equations = patches(np.random.default_rng(14), shape)
+    system = equations.system
+    black, regions = system._black, system._regions
+    lattice, labels = black.lattice, regions._labels
+    nodes = np.flatnonzero(lattice.excess)
+    matrix = np.zeros((len(nodes), len(nodes)))
+    for column, place in enumerate(nodes):
+        unit, out = black.vector(), black.vector()
+        unit[place] = 1
+        black.residual(black.vector(), unit, out)
+        matrix[:, column] = -out[nodes]
+    off_diagonal = -matrix * ~np.eye(len(nodes), dtype=bool)
+    _, expected = connected_components(off_diagonal > STRONG)
+    alone = np.bincount(expected)[expected] == 1
+    found = labels[nodes]
+    np.testing.assert_array_equal(found == 0, alone)
+    np.testing.assert_array_equal(
+        (found[:, None] == found) & ~alone[:, None], (expected[:, None] == expected) & ~alone
+    )
+    assert len(np.unique(found)) > 5
+    residual, corrected = black.vector(), black.vector()
+    residual[nodes] = np.random.default_rng(15).normal(size=len(nodes))
+    regions.solve(residual, corrected)
+    for label in range(1, found.max() + 1):
+        member = found == label
+        held = member @ matrix @ member
+        value = residual[nodes][member].sum() / held
+        np.testing.assert_allclose(corrected[nodes][member], value, rtol=1e-3)
+    assert not corrected[nodes][alone].any()
 
 
 @pytest.mark.kernel
