@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from binocular_recon.errors import ImageError
@@ -15,7 +16,23 @@ MOST_PIXELS, MOST_BYTES = 2**27, 2**29
 _JPEG_PIXELS_PER_BYTE = 1024
 # Deflate shrinks to 1/1032 at best.
 _PNG_GROWTH = 1040
-_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by the colour type of PNG
+_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 2, 6: 4}  # by the colour type of PNG; 3: what a palette holds
+# More parts no encoder writes, and each takes time: every scan of a JPEG that of the whole image.
+_MOST_SEGMENTS, _MOST_CHUNKS, _MOST_SCANS = 1024, 1 << 17, 64
+# Of all Huffman tables before the first scan; a whole set has 2 kB.
+_MOST_TABLE_BYTES = 1 << 16
+_TABLES, _SCAN, _END = 0xC4, 0xDA, 0xD9
+_PROGRESSIVE = (0xC2, 0xCA)
+_FILL = re.compile(rb'\xff+')
+# In coded data FF is followed by 0, and restart markers belong to them.
+_MARKER = re.compile(rb'\xff[^\x00\xff\xd0-\xd7]')
+# As OpenCV reads it: other programs may find other numbers where a comment touches one.
+_SPACE = rb'\s(?:\s|#[^\r\n]*[\r\n])*'
+_PNM = re.compile(rb'P([1-6Ff])' + _SPACE + rb'(\d{1,10})' + _SPACE + rb'(\d{1,10})\s')
+# Least bytes of eight pixels by the kind of PNM.
+_PNM_BYTES = {b'1': 8, b'2': 8, b'3': 24, b'4': 1, b'5': 8, b'6': 24, b'f': 32, b'F': 96}
+# Kinds of whole numbers in TIFF that are read; a size of another kind is refused.
+_TIFF_KINDS = {1: 'B', 3: 'H', 4: 'I', 16: 'Q'}
 _FORMATS = 'PNG, JPEG, TIFF, BMP, WebP, JPEG 2000 and PNM'
 
 
@@ -62,6 +79,8 @@ def read_header(data: bytes) -> ImageHeader:
         if data.startswith(magic):
             try:
                 header = read(data)
+            except ImageError:
+                raise
             except (struct.error, LookupError, ValueError) as error:
                 raise ImageError(
                     f'is truncated or has a damaged header ({len(data)} bytes)'
@@ -92,14 +111,44 @@ def _png(data: bytes) -> ImageHeader:
     channels = _CHANNELS.get(colour, 0)
     raw = height * (1 + -(-width * (1 if colour == 3 else channels) * depth // 8))
     samples = max(channels, 1) * (2 if depth == 16 else 1)
+    _check_chunks(data)
     return ImageHeader('PNG', width, height, samples, raw // _PNG_GROWTH)
 
 
+def _check_chunks(data: bytes) -> None:
+    """Raise an error unless all chunks of a PNG lie in it: the decoder allocates what they claim.
+
+    libpng checks the rest of them.
+    """
+    place = 8
+    for _ in range(_MOST_CHUNKS):
+        length, kind = struct.unpack_from('>I4s', data, place)
+        place += 12 + length
+        if place > len(data):
+            raise ImageError(
+                f'is truncated: a chunk claims {length} bytes, the file has {len(data)}'
+            )
+        if kind == b'IEND':
+            return
+    raise ImageError(f'has more than {_MOST_CHUNKS} chunks; no encoder writes so many')
+
+
 def _jpeg(data: bytes) -> ImageHeader:
-    for marker, position, _ in jpeg_segments(data):
+    segments = jpeg_segments(data)
+    tables = sum(end - start for marker, start, end in segments if marker == _TABLES)
+    if tables > _MOST_TABLE_BYTES:
+        raise ImageError(f'has {tables} bytes of Huffman tables, at most {_MOST_TABLE_BYTES}')
+    for marker, position, _ in segments:
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             height, width, channels = struct.unpack_from('>HHB', data, position + 1)
             least = width * height // _JPEG_PIXELS_PER_BYTE
+            scan = segments[-1][1]
+            if marker in _PROGRESSIVE or data[scan] < channels:
+                for count, _ in enumerate(jpeg_scans(data, scan), start=1):
+                    if count > _MOST_SCANS:
+                        raise ImageError(
+                            f'has more than {_MOST_SCANS} scans; no encoder writes so many'
+                        )
             return ImageHeader('JPEG', width, height, max(channels, 1), least)
     raise ValueError('no frame')
 
@@ -107,24 +156,51 @@ def _jpeg(data: bytes) -> ImageHeader:
 def jpeg_segments(data: bytes) -> list[tuple[int, int, int]]:
     """Return marker, start and end of the content of each segment up to the first scan's header.
 
-    Raises a ValueError or struct.error if they are damaged.
+    Raises a ValueError, LookupError or struct.error if they are damaged or too many.
     """
-    segments, position = [], 2
+    segments: list[tuple[int, int, int]] = []
+    position = 2
     while True:
-        if data[position] != 0xFF:
+        fill = _FILL.match(data, position)  # any number of these may precede a marker
+        if fill is None or len(segments) == _MOST_SEGMENTS:
             raise ValueError('no marker')
+        position = fill.end() - 1
         marker = data[position + 1]
-        if marker == 0xFF:  # any number of fill bytes may precede a marker
-            position += 1
-            continue
         (length,) = struct.unpack_from('>H', data, position + 2)
         end = position + 2 + length
         if length < 2 or end > len(data):
             raise ValueError('a segment is cut off')
         segments.append((marker, position + 4, end))
-        if marker == 0xDA:
+        if marker == _SCAN:
             return segments
         position = end
+
+
+def jpeg_scans(data: bytes, first: int) -> Iterator[int]:
+    """Yield where the content of each scan's header begins.
+
+    Raises a ValueError if there are too many segments, as `jpeg_segments` if they are damaged.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    first : int
+        Where that of the first scan begins.
+
+    """
+    place, marker = first, _SCAN
+    for _ in range(_MOST_SEGMENTS):
+        if marker == _END:
+            return
+        if marker == _SCAN:
+            yield place
+        (length,) = struct.unpack_from('>H', data, place - 2)
+        found = _MARKER.search(data, place - 2 + length)
+        if found is None:
+            return
+        place, marker = found.end() + 2, data[found.end() - 1]
+    raise ValueError('too many segments')
 
 
 def _tiff(data: bytes) -> ImageHeader:
@@ -138,12 +214,13 @@ def _tiff(data: bytes) -> ImageHeader:
     for entry in range(first, first + size * min(count, 4096), size):
         tag, kind = struct.unpack_from(order + 'HH', data, entry)
         if tag in (256, 257, 258, 277):
-            code = {3: 'H', 4: 'I', 16: 'Q'}.get(kind, 'H')
+            if tag in values or kind not in _TIFF_KINDS:
+                raise ValueError('stated twice, or not by a whole number')
             many = struct.unpack_from(order + ('Q' if big else 'I'), data, entry + 4)[0] > 2
             place = entry + inline
             if tag == 258 and many and not big:  # bits of three or more channels stand elsewhere
                 (place,) = struct.unpack_from(order + 'I', data, place)
-            (values[tag],) = struct.unpack_from(order + code, data, place)
+            (values[tag],) = struct.unpack_from(order + _TIFF_KINDS[kind], data, place)
     pixel_bytes = values.get(277, 1) * -(-values.get(258, 8) // 8)
     return ImageHeader('TIFF', values.get(256, 0), values.get(257, 0), max(pixel_bytes, 1))
 
@@ -169,19 +246,42 @@ def _webp(data: bytes) -> ImageHeader:
 
 
 def _jpeg_2000(data: bytes) -> ImageHeader:
-    place = data.index(b'\xff\x4f\xff\x51', 0, 4096) + 8  # the codestream, in a file or alone
-    right, bottom, left, top = struct.unpack_from('>IIII', data, place)
-    return ImageHeader('JPEG 2000', right - left, bottom - top, 6)
+    start = 0 if data.startswith(b'\xff\x4f') else _codestream(data)
+    if data[start : start + 4] != b'\xff\x4f\xff\x51':
+        raise ValueError('no codestream')
+    right, bottom, left, top = struct.unpack_from('>IIII', data, start + 8)
+    (channels,) = struct.unpack_from('>H', data, start + 40)
+    if not 1 <= channels <= 4:
+        raise ValueError('no image')
+    return ImageHeader('JPEG 2000', right - left, bottom - top, 2 * channels)
+
+
+def _codestream(data: bytes) -> int:
+    """Return where the codestream in the boxes of a file begins."""
+    place = 0
+    for _ in range(_MOST_SEGMENTS):
+        length, kind, long = struct.unpack_from('>I4sQ', data, place)
+        head = 16 if length == 1 else 8
+        if kind == b'jp2c':
+            return place + head
+        place += max(long if length == 1 else length, head)
+    raise ValueError('no codestream')
 
 
 def _pnm(data: bytes) -> ImageHeader:
-    lines = [line.partition(b'#')[0] for line in data[:1024].split(b'\n')]
-    words = b' '.join(lines).split()
-    if words[0] == b'P7':
+    if data.startswith(b'P7'):
+        words = data[:1024].split()
+        if any(words.count(name) > 1 for name in (b'WIDTH', b'HEIGHT', b'DEPTH')):
+            raise ValueError('stated twice')
         fields = dict(zip(words[1::2], words[2::2], strict=False))
         width, height = int(fields[b'WIDTH']), int(fields[b'HEIGHT'])
         return ImageHeader('PAM', width, height, int(fields[b'DEPTH']) * 2)
-    return ImageHeader('PNM', int(words[1]), int(words[2]), 12 if words[0] == b'PF' else 6)
+    found = _PNM.match(data[:1024])
+    if found is None:
+        raise ValueError('no size')
+    kind, width, height = found[1], int(found[2]), int(found[3])
+    least = width * height * _PNM_BYTES[kind] // 8
+    return ImageHeader('PNM', width, height, 12 if kind == b'F' else 6, least)
 
 
 _READERS: list[tuple[bytes | tuple[bytes, ...], Callable[[bytes], ImageHeader]]] = [

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.io._jpeg_kernels import CODE_BITS, count_units
-from binocular_recon.io.image_headers import jpeg_segments
+from binocular_recon.io.image_headers import jpeg_scans, jpeg_segments
 
-_TABLES, _SCAN, _RESTART, _END = 0xC4, 0xDA, 0xDD, 0xD9
-# In coded data FF is followed by 0, and restart markers belong to them.
-_MARKER = re.compile(rb'\xff[^\x00\xff\xd0-\xd7]')
+_TABLES, _RESTART = 0xC4, 0xDD
 _SEQUENTIAL, _PROGRESSIVE = (0xC0, 0xC1), 0xC2
 _BLOCK = 8
 _WARNING = re.compile('Corrupt JPEG|Premature end of JPEG')
@@ -115,22 +113,9 @@ def _share_of_coefficients(data: bytes, frame: int, scan: int) -> float:
     count = data[frame + 5]
     exact = np.zeros((count, _BLOCK**2), np.bool_)
     numbers = {data[frame + 6 + 3 * i]: i for i in range(count)}
-    for place in _scans(data, scan):
+    for place in jpeg_scans(data, scan):
         parts = data[place]
         first, last, shift = data[place + 1 + 2 * parts : place + 4 + 2 * parts]
         for i in range(parts):
             exact[numbers[data[place + 1 + 2 * i]], first : last + 1] |= shift & 15 == 0
     return float(exact.mean())
-
-
-def _scans(data: bytes, first: int) -> Iterator[int]:
-    """Yield where the content of each scan's header begins."""
-    place, marker = first, _SCAN
-    while marker != _END:
-        if marker == _SCAN:
-            yield place
-        (length,) = struct.unpack_from('>H', data, place - 2)
-        found = _MARKER.search(data, place - 2 + length)
-        if found is None:
-            return
-        place, marker = found.end() + 2, data[found.end() - 1]

@@ -14,7 +14,7 @@ import pytest
 
 from test.bag_tools import stereo_records, write_bag
 from test.frame_results import contents
-from test.replay.reconstruction import RANGE, reconstruct
+from test.replay.reconstruction import RANGE, reconstruct, runs
 
 FRAMES = 24
 
@@ -22,14 +22,6 @@ FRAMES = 24
 def children(process: int) -> list[int]:
     text = Path(f'/proc/{process}/task/{process}/children').read_text()
     return [int(number) for number in text.split()]
-
-
-def runs(process: int) -> bool:
-    try:
-        status = Path(f'/proc/{process}/stat').read_text()
-    except OSError:
-        return False
-    return status.rpartition(')')[2].split()[0] != 'Z'
 
 
 @pytest.mark.long

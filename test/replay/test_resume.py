@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
 import re
 import signal
 import subprocess
@@ -32,7 +32,7 @@ from test.bag_tools import (
     write_bag,
 )
 from test.frame_results import contents
-from test.replay.reconstruction import RANGE, reconstruct
+from test.replay.reconstruction import RANGE, Runner, kill, reconstruct, runs
 
 FRAMES, LEFT_OUT = 8, 3
 CLOUD = FRAME_FORMATS['ply']
@@ -118,52 +118,23 @@ KILLS = (
 )
 
 
-# Runs a command in a process of its own per line of input, and says which process and how it
-# ended. Programs and kernels are loaded once.
-RUNNER = """
-import json, os, sys
-import cv2
-cv2.setNumThreads(1)  # its threads would not survive the fork
-from binocular_recon.apps import reconstruction
-from binocular_recon.cli.main import main
-from binocular_recon.config import ChainConfig
-from binocular_recon.stereo.pipeline import warm_up
-warm_up(ChainConfig())
-for line in sys.stdin:
-    child = os.fork()
-    if not child:
-        sys.argv[1:] = json.loads(line)
-        sys.exit(main())
-    print(child, flush=True)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
-"""
-
-
 def test_a_run_killed_again_and_again_is_continued(
     bag: Path, undisturbed: dict[str, Any], tmp_path: Path
 ) -> None:
     output = tmp_path / 'out'
     output.mkdir()
     words = ['reconstruct', str(bag), '--output', str(output), *RANGE, *STATEFUL]
-    with (tmp_path / 'log').open('w') as log:
-        pipe = subprocess.PIPE
-        command = [sys.executable, '-c', RUNNER]
-        runner = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, text=True)
-    assert runner.stdin and runner.stdout
-    with runner:
-        statuses = []
+    statuses = []
+    with contextlib.closing(Runner(tmp_path / 'log')) as runner:
         for pattern, number in (*KILLS, ('summary.json', 0)):
             clouds = {*output.glob('*.ply')}
-            runner.stdin.write(json.dumps(words) + '\n')
-            runner.stdin.flush()
-            process = int(runner.stdout.readline())
+            run = runner.start(words)
             known = set() if number == signal.SIGKILL else clouds
-            while number and not {*output.glob(pattern)} - known and _runs(process):
+            while number and not {*output.glob(pattern)} - known and runs(run):
                 time.sleep(0.001)
             if number:
-                os.kill(process, number)
-            statuses.append(int(runner.stdout.readline()))
-        runner.stdin.close()
+                kill(run, number)
+            statuses.append(runner.status())
     said = (tmp_path / 'log').read_text()
     assert 'Traceback' not in said, said
     assert statuses[:3] == [-signal.SIGKILL] * 3
@@ -171,10 +142,6 @@ def test_a_run_killed_again_and_again_is_continued(
     assert re.search('reconstruct: terminated; [1-7] finished frames are kept', said)
     assert statuses[-1] == 1
     assert contents(output) == undisturbed
-
-
-def _runs(process: int) -> bool:
-    return 'Z' not in Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()[0]
 
 
 def test_a_finished_run_is_not_made_again(

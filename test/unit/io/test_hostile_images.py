@@ -138,6 +138,79 @@ def test_headers_of_any_bytes_end_in_one_sentence(extension: str) -> None:
             assert 0 < header.width * header.height <= 2**27
 
 
+def chunk(kind: bytes, content: bytes, claimed: int | None = None) -> bytes:
+    """Return a chunk of a PNG."""
+    length = len(content) if claimed is None else claimed
+    body = kind + content
+    return struct.pack('>I', length) + body + struct.pack('>I', zlib.crc32(body))
+
+
+def costly(name: str) -> bytes:
+    """Return an image of 200x120 px that takes long, or much memory, to decode."""
+    progressive = encoded('.jpg', scene(), KINDS['progressive'])
+    plain, png = encoded('.jpg', scene()), encoded('.png', scene())
+    last = progressive.rindex(b'\xff\xda')
+    table = bytes([0x10, 1, *15 * [0], 0]) * 3600
+    tables = b'\xff\xc4' + struct.pack('>H', len(table) + 2) + table
+    size = struct.pack('<HHII', 257, 4, 1, 120)
+    return {
+        # 20 s for 1 MB of 1280x720 px
+        'scans': progressive[:-2] + 60 * progressive[last:-2] + b'\xff\xd9',
+        'segments': plain[:2] + 1100 * b'\xff\xe1\0\2' + plain[2:],
+        'tables': plain[:2] + 2 * tables + plain[2:],
+        # 2.1 GB for 56 bytes
+        'chunk': png[:33] + chunk(b'IDAT', b'abc', 2**31 - 1) + chunk(b'IEND', b''),
+        'chunks': png[:33] + 2**17 * chunk(b'tEXt', b'') + png[33:],
+        # two readers, two sizes
+        'comment': b'P6 30000#30000 1\n200 255\n' + bytes(72000),
+        'return': b'P6 #\r30000 30000 255\n200 120 255\n' + bytes(72000),
+        'pam': b'P7\nWIDTH 200\nHEIGHT 120\nDEPTH 3\nWIDTH 30000\nENDHDR\n' + bytes(72000),
+        'twice': b'II*\0\x08\0\0\0\3\0' + struct.pack('<HHII', 256, 4, 1, 30000)
+        + struct.pack('<HHII', 256, 4, 1, 200) + size,
+        'signed': b'II*\0\x08\0\0\0\2\0' + struct.pack('<HHII', 256, 9, 1, 65536 + 200) + size,
+    }[name]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('name', 'reason'),
+    [
+        ('scans', 'more than 64 scans'),
+        ('segments', 'truncated'),
+        ('tables', r'\d+ bytes of Huffman tables'),
+        ('chunk', 'truncated: a chunk claims 2147483647 bytes'),
+        ('chunks', 'more than 131072 chunks'),
+        ('comment', 'claims 30000x30000|damaged header'),
+        ('return', 'claims 30000x30000'),
+        ('pam', 'damaged header'),
+        ('twice', 'damaged header'),
+        ('signed', 'damaged header'),
+    ],
+)
+def test_an_image_of_a_right_size_that_is_costly_is_refused(name: str, reason: str) -> None:
+    with pytest.raises(ImageError, match=f'left image .*({reason})'):
+        decoded_image(costly(name), 'left image')
+
+
+def test_many_scans_and_fill_bytes_are_read() -> None:
+    progressive = encoded('.jpg', scene(), KINDS['progressive'])
+    last = progressive.rindex(b'\xff\xda')
+    filled = progressive[:2] + 10_000_000 * b'\xff' + progressive[3:]
+    np.testing.assert_array_equal(decoded_image(filled, 'image'), decoded_image(progressive, ''))
+    again = progressive[:-2] + 20 * progressive[last:-2] + b'\xff\xd9'
+    assert decoded_image(again, 'image').shape == (HEIGHT, WIDTH, 3)
+
+
+def test_the_image_of_a_jpeg_2000_is_not_what_lies_in_another_box() -> None:
+    data = encoded('.jp2', scene())
+    start = data.index(b'jp2c') - 4
+    hidden = data[start + 8 : start + 68]
+    other = bytearray(hidden)
+    struct.pack_into('>II', other, 8, 64, 48)
+    box = struct.pack('>I4s', 8 + len(other), b'xml ') + bytes(other)
+    header = read_header(data[:start] + box + data[start:])
+    assert (header.width, header.height) == (WIDTH, HEIGHT)
+
+
 def several_scans(image: Any) -> bytes:
     """Return a sequential JPEG with one scan per channel, made of files of one channel each."""
     files = [encoded('.jpg', np.ascontiguousarray(channel)) for channel in cv2.split(image)]
