@@ -31,7 +31,7 @@ from binocular_recon.stereo.matching.half_resolution import half_config
 # Surfaces are told apart if their disparities differ by more than this, in px of half resolution.
 EDGE_PX = 1.0
 # Pixels this near to an edge, in px of half resolution, may be on the wrong side of it.
-NEAR_EDGE_PX = 3
+NEAR_EDGE_PX = 1
 # Halving leaves 4.5 % of the variance of the steps of white noise; below twice that share, in
 # windows of this many px of half resolution on each side, there is no texture.
 NOISE_SHARE = 0.09
