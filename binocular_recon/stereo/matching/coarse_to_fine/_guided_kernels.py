@@ -23,7 +23,6 @@ from binocular_recon._simd import (
     splat,
     store,
 )
-from binocular_recon.stereo import _validity_kernels as reason
 
 RADIUS = 1  # of the window
 SIDE = 2 * RADIUS + 1
@@ -276,43 +275,3 @@ def refine_strip(
                     kept = (score > limit) | (unsure[half] == 0)
                     out[x + i] = value if kept else none
                     why[x + i] = known[half]
-
-
-@kernel
-def hidden_strip(
-    disparity: Array,
-    tolerance: float,
-    limits: tuple[float, float],
-    validity: Array,
-    start: int,
-    stop: int,
-) -> None:
-    """Drop disparities that lead to a pixel of the right image where another surface is nearer.
-
-    A surface is nearer if its disparity is larger by more than ``tolerance``. Disparities outside
-    ``limits`` are dropped, too.
-    """
-    width = disparity.shape[1]
-    none, below, first = np.float32(np.nan), np.float32(-np.inf), np.float32(-1)
-    low, high = np.float32(limits[0]), np.float32(limits[1])
-    behind = np.float32(tolerance)
-    last = np.float32(width)
-    # the right column of each pixel, and one on either side for those that the image lacks
-    columns = np.empty(width, np.int64)
-    nearest = np.empty(width + 2, np.float32)
-    for y in range(start, stop):
-        row, why = disparity[y], validity[y]
-        for x in range(width):
-            there = np.float32(x) - np.rint(row[x])
-            there = there if there == there else first
-            columns[x] = np.int64(min(max(there, first), last)) + 1
-        nearest[:] = below
-        for x in range(width):
-            nearest[columns[x]] = max(row[x], nearest[columns[x]])
-        nearest[0] = nearest[width + 1] = below
-        for x in range(width):
-            value = row[x]
-            hidden = nearest[columns[x]] - value > behind
-            outside = (value < low) | (value > high)
-            row[x] = none if hidden | outside else value
-            why[x] = reason.CONFLICT if hidden else reason.AT_LIMIT if outside else why[x]

@@ -23,9 +23,9 @@ from binocular_recon.stereo.matching.coarse_to_fine._guided_kernels import (
     RADIUS,
     SIDE,
     GuidedPair,
-    hidden_strip,
     refine_strip,
 )
+from binocular_recon.stereo.matching.coarse_to_fine._visibility_kernels import hidden_strip
 from binocular_recon.stereo.matching.half_resolution import half_config
 
 # Surfaces are told apart if their disparities differ by more than this, in px of half resolution.

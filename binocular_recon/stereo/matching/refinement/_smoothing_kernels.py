@@ -23,20 +23,20 @@ from binocular_recon._simd import (
 REACH = 2
 SPACING = 3
 BORDER = REACH * SPACING
-MEDIAN_REACH = 3
-MEDIAN_SPACING = 2
-MEDIAN_BORDER = MEDIAN_REACH * MEDIAN_SPACING
+MEDIAN_BORDER = 6  # reach of the windows of medians
+MEDIAN_SPACING = 2  # of their samples
+WIDE_SPACING = 3
 MEDIAN_ERROR_PX = np.float32(0.1)  # at which bisection stops
 LEAST_SAMPLES = np.float32(5)  # of a plane
 LEAST_SPREAD = np.float32(1e-2)  # of the samples: on a line they do not define a plane
 
 
 @inline_kernel
-def _column_range(values: Array, y: int, low: Array, high: Array) -> None:
+def _column_range(values: Array, y: int, spacing: int, low: Array, high: Array) -> None:
     """Write the smallest and the largest value of each column of the windows of row ``y``."""
     for x in range(0, values.shape[1] - LANES + 1, LANES):
         least = most = load(values[y], x)
-        for j in range(MEDIAN_SPACING, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+        for j in range(spacing, 2 * MEDIAN_BORDER + 1, spacing):
             value = load(values[y + j], x)
             least, most = smaller(least, value), larger(most, value)
         store(low, x, least)
@@ -58,6 +58,7 @@ def _is_near(where: Array, y: int, x: int) -> bool:
 def weighted_median_strip(
     images: tuple[Array, Array, Array],
     where: Array,
+    spacing: int,
     softness: float,
     keep: float,
     samples: Array,
@@ -68,7 +69,8 @@ def weighted_median_strip(
 
     Only where ``where`` (ceil(H / 2), ceil(W / 2)), uint8, is not 0; everywhere if it is empty.
     ``images``: the values and grey levels (H + 2 MEDIAN_BORDER, W + 2 MEDIAN_BORDER + 2 LANES),
-    with borders of NaN, and a mask (H, W): NaN where the result is to be. Weights fall with the
+    with borders of NaN, and a mask (H, W): NaN where the result is to be. Windows have a sample
+    every ``spacing`` px. Weights fall with the
     difference of grey levels, to a half at ``softness``; a value within ``keep`` of its median
     stays. ``samples`` (H + 2 BORDER, W + 2 BORDER + LANES): the result, with a border of NaN, of
     which the first and the last strip write what is above and below.
@@ -80,7 +82,7 @@ def weighted_median_strip(
         samples[:BORDER] = none
     if stop == height:
         samples[BORDER + height :] = none
-    count = (2 * MEDIAN_REACH + 1) ** 2
+    count = (2 * MEDIAN_BORDER // spacing + 1) ** 2
     window, weights = np.empty(count * LANES, np.float32), np.empty(count * LANES, np.float32)
     lows, highs = np.empty(values.shape[1], np.float32), np.empty(values.shape[1], np.float32)
     medians = np.empty(width + LANES, np.float32)
@@ -92,14 +94,15 @@ def weighted_median_strip(
     )
     certain = splat(np.float32(keep) - MEDIAN_ERROR_PX)
     for y in range(start, stop):
-        _column_range(values, y, lows, highs)
+        if where.size == 0 or where[y >> 1].any():
+            _column_range(values, y, spacing, lows, highs)
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
             store(medians, x, here)
             if not _is_near(where, y, x):
                 continue
             low = high = here
-            for i in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+            for i in range(0, 2 * MEDIAN_BORDER + 1, spacing):
                 low, high = smaller(low, load(lows, x + i)), larger(high, load(highs, x + i))
             error = np.float32(largest(to_int32(at_most(high - low, most, high - low, zero))) + 1)
             if error <= keep:
@@ -108,9 +111,9 @@ def weighted_median_strip(
             # most values are near their median, which two sums show without bisection
             total = to_high = to_low = zero
             at = 0
-            for j in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+            for j in range(0, 2 * MEDIAN_BORDER + 1, spacing):
                 grey, row = levels[y + j], values[y + j]
-                for i in range(0, 2 * MEDIAN_BORDER + 1, MEDIAN_SPACING):
+                for i in range(0, 2 * MEDIAN_BORDER + 1, spacing):
                     step, value = (load(grey, x + i) - level) * scale, load(row, x + i)
                     weight = one / (one + step * step)
                     # 0 where a level or a value is NaN

@@ -14,6 +14,8 @@ from binocular_recon.stereo.matching._preparation import exposure_gain
 from binocular_recon.stereo.matching.refinement._smoothing_kernels import (
     BORDER,
     MEDIAN_BORDER,
+    MEDIAN_SPACING,
+    WIDE_SPACING,
     plane_strip,
     weighted_median_strip,
 )
@@ -67,12 +69,13 @@ def smooth(
     height, width = disparity_px.shape
     filled = cv2.medianBlur(fill_from_background(disparity_px), 5 if near_edges is None else 3)
     wrong = WRONG_PX if near_edges is None else WRONG_SIDE_PX
+    spacing = MEDIAN_SPACING if near_edges is None else WIDE_SPACING
     where = np.empty((0, 0), np.uint8) if near_edges is None else near_edges
     # relative to the contrast of the image, so that the exposure does not matter
     softness = SAME_OBJECT_LEVELS / exposure_gain(left)
     images = _bordered(filled), _bordered(left), disparity_px
     samples = np.empty((height + 2 * BORDER, width + 2 * BORDER + LANES), np.float32)
-    over_strips(weighted_median_strip, height, images, where, softness, wrong, samples)
+    over_strips(weighted_median_strip, height, images, where, spacing, softness, wrong, samples)
     results = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     terms = RESIDUAL_FACTOR**2, COMMON_SIGMA_PX**2
     over_strips(plane_strip, height, samples, SAME_SURFACE_PX, terms, results)
