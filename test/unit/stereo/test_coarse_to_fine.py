@@ -116,7 +116,7 @@ def test_a_shift_is_found_at_any_start_and_size(first: int, shape: tuple[int, in
         found = match(left, right, fast(min_disparity=first, disparity_range=count))
         error = found.disparity_px[6:-6, 26:-26] - shift
         assert np.isfinite(error).mean() > 0.97
-        assert abs(np.nanmean(error)) < 0.03
+        assert abs(np.nanmean(error)) < 0.04  # of windows of 3x3
         assert np.sqrt(np.nanmean(error**2)) < 0.08
     whole = match(left, right, fast(min_disparity=first, disparity_range=16, subpixel=False))
     assert set(np.unique(whole.disparity_px[6:-6, 26:-26])) <= {first + 7, first + 8, NAN}

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
@@ -152,7 +154,7 @@ def weighted_median_strip(
 
 
 @exact_kernel
-def _set_sigma(squares: Array, factor: float, common: float, sigma: Array) -> None:
+def _set_sigma(squares: Array, factor: Any, common: Any, sigma: Array) -> None:
     for x in range(sigma.size):
         sigma[x] = np.sqrt(squares[x] * factor + common)
 
