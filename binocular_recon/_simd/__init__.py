@@ -24,6 +24,7 @@ from binocular_recon._simd.arithmetic import (
     to_uint8,
 )
 from binocular_recon._simd.memory import (
+    copy_pair,
     first_of,
     last_of,
     load,
@@ -40,6 +41,7 @@ __all__ = [
     'LANES',
     'add_saturated',
     'at_most',
+    'copy_pair',
     'first_equal',
     'first_of',
     'larger',

@@ -61,6 +61,30 @@ def store(_context: Any, array: Any, _index: Any, vector: Any) -> Any:
     return types.void(array, types.intp, vector), generate
 
 
+def _plain_copy_pair(array: Any, index: int, out: Any, at: int) -> None:
+    out[at : at + 2] = array[index : index + 2]
+
+
+@operation(_plain_copy_pair)
+def copy_pair(_context: Any, array: Any, _index: Any, out: Any, _at: Any) -> Any:
+    """Copy ``array[index : index + 2]``, of any alignment, to ``out[at : at + 2]``."""
+    if not (_is_row(array) and _is_row(out) and array.dtype == out.dtype):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        pair = ir.VectorType(context.get_data_type(array.dtype), 2).as_pointer()
+        places = [
+            builder.bitcast(_pointer(context, builder, kinds[i], *arguments[i : i + 2]), pair)
+            for i in (0, 2)
+        ]
+        align = array.dtype.bitwidth // 8
+        builder.store(builder.load(places[0], align=align), places[1], align=align)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, out, types.intp), generate
+
+
 @operation(lambda value: np.full(LANES, value))
 def splat(_context: Any, value: Any) -> Any:
     """Return a vector of copies of the scalar ``value``."""

@@ -10,11 +10,19 @@ import numpy as np
 from binocular_recon._jit import Array, inline_kernel, kernel
 
 _NAN = np.float32(np.nan)
+_AT_ONCE = 16  # pixels of a row that are searched together
 
 
 @inline_kernel
 def _next_hole(row: Array, x: int) -> tuple[int, int]:
     """Return where the first run of NaN from column ``x`` on begins, and where it ends."""
+    while x + _AT_ONCE <= len(row):
+        total = np.float32(0)
+        for i in range(_AT_ONCE):
+            total += row[x + i]
+        if total != total:
+            break
+        x += _AT_ONCE
     while x < len(row) and not np.isnan(row[x]):
         x += 1
     begin = x
@@ -80,9 +88,9 @@ def fill_background_strip(disparity: Array, filled: Array, start: int, stop: int
     width = disparity.shape[1]
     for y in range(start, stop):
         row, x = disparity[y], 0
+        filled[y] = row
         while x < width:
             begin, end = _next_hole(row, x)
-            filled[y, x:begin] = row[x:begin]
             before, after = _ends(row, begin, end)
             before = after if np.isnan(before) else before
             after = before if np.isnan(after) else after

@@ -89,13 +89,17 @@ def next_cost_row(source: CostSource, rows: CostRows, y: int, first: int, costs:
         old = new - big.size
         enter_row(big, rows.big, new, old if old >= first else no_row)
         old = new - inner - small.size
-        if new - inner >= first + inner:
+        if inner > 0 and new - inner >= first + inner:
             enter_row(small, rows.small, new - inner, old if old >= first + inner else no_row)
     normalise_row(big, rows.big)
-    normalise_row(small, rows.small)
+    if inner > 0:
+        normalise_row(small, rows.small)
     _set_gains(source, rows)
     for k in range(0, source.padded, LANES):
-        _cost_columns(source, rows, y, k, costs)
+        if inner > 0:
+            _cost_columns(source, rows, y, k, costs)
+        else:
+            _cost_columns_of_three(source, rows, y, k, costs)
     if source.disparities < source.padded:
         for x in range(rows.gains.shape[1]):
             at = x * source.padded
@@ -187,4 +191,34 @@ def _cost_columns(source: CostSource, rows: CostRows, y: int, k: int, costs: Arr
         value = small_window - splat(small_total[x + inner]) * load(small_mean, here + inner)
         cost = cost - value * load(small_norm, here + inner) * splat(small_gain[x])
         steps = smaller(larger(to_int32(cost), splat(np.int32(0))), splat(limit[x]))
+        store(costs, x * padded + k, to_uint8(steps))
+
+
+@inline_kernel
+def _cost_columns_of_three(
+    source: CostSource, rows: CostRows, y: int, k: int, costs: Array
+) -> None:
+    """Write the same costs with windows of side 3, into which no smaller one fits."""
+    left, stride = source.big.left, source.big.right.shape[1]
+    right = source.big.right.reshape(source.big.right.size)
+    mean, norm = rows.big.right_norm[0], rows.big.right_norm[2]
+    total, gain = rows.big.left_norm[0], rows.gains[0]
+    limit, highest = rows.limit, rows.highest
+    width, padded = left.shape[1], source.padded
+    least = splat(np.int32(0))
+    before = here = splat(left[left.shape[0] - 1, 0])
+    for i in range(width):
+        there = width - 1 - i + k
+        at = y * stride + there
+        column = splat(left[y, i]) * load(right, at)
+        column = column + splat(left[y + 1, i]) * load(right, at + stride)
+        column = column + splat(left[y + 2, i]) * load(right, at + 2 * stride)
+        window = before + here + column
+        before, here = here, column
+        x = i - 2
+        if x < 0:
+            continue
+        value = (window - splat(total[x]) * load(mean, there)) * load(norm, there)
+        cost = load(highest, there) - value * splat(gain[x])
+        steps = smaller(larger(to_int32(cost), least), splat(limit[x]))
         store(costs, x * padded + k, to_uint8(steps))

@@ -12,7 +12,7 @@ import numpy as np
 from binocular_recon._jit import over_strips
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import ByteImage, FloatImage
-from binocular_recon.stereo.confidence import confidence_from_sigma
+from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.matching import _semi_global
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
@@ -26,6 +26,7 @@ from binocular_recon.stereo.matching.half_resolution import (
     has_low_texture,
 )
 from binocular_recon.stereo.matching.refinement import drop_flying, drop_speckles, smooth
+from binocular_recon.stereo.matching.refinement._rejection_kernels import finish_strip
 from binocular_recon.stereo.validity import Validity
 
 # Disparity, its standard deviation (both float32, NaN = none) and validity (uint8), all (H, W).
@@ -182,30 +183,11 @@ def _rounded(
 ) -> Match:
     """Round disparities, in place, to the step of a DisparityImage, and add the confidence."""
     confidence = np.empty_like(disparity)
-    low, high = config.limits_px
-
-    def finish(start: int, stop: int) -> None:
-        rows, levels = disparity[start:stop], confidence[start:stop]
-        if config.subpixel:
-            rows /= np.float32(SUBPIXEL_STEP_PX)
-            np.rint(rows, out=rows)
-            rows *= np.float32(SUBPIXEL_STEP_PX)
-        levels[:] = confidence_from_sigma(sigma[start:stop]) if config.subpixel else 1
-        # planes and half resolution may leave the search range
-        outside = ~((rows >= low) & (rows <= high))
-        rows[outside], levels[outside] = np.nan, 0
-        _update_validity(rows, validity[start:stop])
-
-    over_strips(finish, len(disparity))
+    # planes and half resolution may leave the search range
+    measured, limits = (disparity, sigma, validity), config.limits_px
+    step = disparity_step_px(config)
+    over_strips(finish_strip, len(disparity), measured, step, SIGMA_UNIT_PX, limits, confidence)
     return Match(disparity, confidence, validity)
-
-
-def _update_validity(disparity: FloatImage, validity: ByteImage) -> None:
-    """Make validity agree, in place, with the disparities that later steps added and dropped."""
-    measured = np.isfinite(disparity)
-    was_measured = (validity & Validity.MEASURED) > 0
-    validity[measured] = Validity.MEASURED
-    validity[~measured & was_measured] = Validity.AMBIGUOUS
 
 
 def _mark_missing(

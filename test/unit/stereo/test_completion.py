@@ -13,12 +13,16 @@ from binocular_recon.stereo.holes.completion import (
     fill_from_background,
     unexplained_holes,
 )
-from binocular_recon.stereo.matching._refinement_kernels import (
+from binocular_recon.stereo.matching.refinement._smoothing_kernels import (
+    BORDER,
     MEDIAN_BORDER,
-    MEDIAN_SPACING,
     weighted_median_strip,
 )
-from binocular_recon.stereo.matching.refinement import SAME_SURFACE_PX, _padded, smooth
+from binocular_recon.stereo.matching.refinement.smoothing import (
+    SAME_SURFACE_PX,
+    _bordered,
+    smooth,
+)
 
 pytestmark = pytest.mark.kernel
 NAN = np.nan
@@ -108,22 +112,33 @@ def test_planes_reduce_noise_and_keep_slopes_and_steps() -> None:
     assert np.abs(steady - truth)[8:-8, 8:-8].max() < 0.03  # at the step, of the median
 
 
-def test_weighted_median_equals_its_naive_twin() -> None:
+@pytest.mark.parametrize('spacing', [2, 3])
+def test_weighted_median_equals_its_naive_twin(spacing: int) -> None:
     rng = np.random.default_rng(2)
     shape, border = (17, 37), MEDIAN_BORDER
     values = rng.choice([5.0, 6.5, 20.0], shape).astype(np.float32)
     levels = rng.choice([10.0, 60.0], shape).astype(np.float32)
     values[4, 5:9] = levels[9, 20] = NAN
-    padded = _padded(values, values, border), _padded(levels, levels, border)
-    median, part = (np.empty((17, 37 + LANES), np.float32) for _ in range(2))
-    weighted_median_strip(*padded, np.empty((0, 0), np.uint8), 16.0, 1.0, median, 0, 17)
-    where = rng.integers(0, 2, part.shape).astype(np.uint8)
-    weighted_median_strip(*padded, where, 16.0, 1.0, part, 0, 17)
-    expected_part = np.where(where[:, :37], median[:, :37], values)
-    np.testing.assert_array_equal(part[:, :37], expected_part)
-    offsets = range(-border, border + 1, MEDIAN_SPACING)
+    mask = np.where(rng.random(shape) < 0.1, np.float32(NAN), np.float32(1))
+    mask[np.isnan(values)] = NAN
+    images = _bordered(values), _bordered(levels), mask
+    where = rng.integers(0, 2, (9, 19)).astype(np.uint8)
+    found = []
+    for pixels in (np.empty((0, 0), np.uint8), where):
+        samples = np.empty((17 + 2 * BORDER, 37 + 2 * BORDER + LANES), np.float32)
+        for rows in ((0, 8), (8, 17)):
+            weighted_median_strip(images, pixels, spacing, 16.0, 1.0, samples, *rows)
+        inside = samples[BORDER:-BORDER, BORDER : BORDER + 37]
+        assert np.isfinite(samples).sum() == np.isfinite(inside).sum()
+        np.testing.assert_array_equal(np.isnan(inside), np.isnan(mask))
+        found.append(inside)
+    median, part = found
+    near = where.repeat(2, axis=0).repeat(2, axis=1)[:17, :37] > 0
+    expected_part = np.where(near, median, np.where(np.isnan(mask), NAN, values))
+    np.testing.assert_array_equal(part, expected_part)
+    offsets = range(-border, border + 1, spacing)
     for y, x in np.ndindex(shape):
-        if np.isnan(values[y, x]) or np.isnan(levels[y, x]):
+        if np.isnan([values[y, x], levels[y, x], mask[y, x]]).any():
             continue
         seen = [(y + j, x + i) for j in offsets for i in offsets]
         seen = [p for p in seen if 0 <= p[0] < 17 and 0 <= p[1] < 37]

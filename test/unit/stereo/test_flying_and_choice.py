@@ -22,12 +22,8 @@ from binocular_recon.stereo.holes._choice_kernels import (
 )
 from binocular_recon.stereo.holes.choice import follow_image
 from binocular_recon.stereo.holes.completion import complete
-from binocular_recon.stereo.matching.refinement import (
-    ALIKE_PX,
-    EDGE_PX,
-    WINDOW_PX,
-    drop_flying,
-)
+from binocular_recon.stereo.matching.refinement import drop_flying
+from binocular_recon.stereo.matching.refinement.rejection import ALIKE_PX, EDGE_PX, WINDOW_PX
 
 pytestmark = pytest.mark.kernel
 CONFIG = MatchConfig(disparity_range=64)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coarse to fine: a match of half the resolution, refined at full resolution.
 
-`guided` scores a few disparities around those of the coarse match and checks the result;
-`_guided_kernels` does so pixel by pixel. Exports `refine_coarse` and the options of the coarse
+`guided` scores a few disparities around those of the coarse match and checks the result. Of its
+kernels, `_guess_kernels` work at half resolution, `_guided_kernels` score at full resolution, and
+`_visibility_kernels` drop what is hidden. Exports `refine_coarse` and the options of the coarse
 match.
 """
 

@@ -13,17 +13,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from binocular_recon._jit import Array, inline_kernel, kernel
-from binocular_recon._simd import LANES, at_most, larger, load, smaller, splat, store
-from binocular_recon.stereo import _validity_kernels as reason
+from binocular_recon._simd import (
+    LANES,
+    at_most,
+    copy_pair,
+    larger,
+    load,
+    smaller,
+    splat,
+    store,
+)
 
-RADIUS = 2  # of the window
+RADIUS = 1  # of the window
 SIDE = 2 * RADIUS + 1
-BAND = 2  # disparities on each side of a guess
-OFFSETS = 2 * BAND + 1
-MARGIN = OFFSETS  # columns without data on each side of the right image
+OFFSETS = 3  # a guess, and the disparities on both sides of it
+BAND = OFFSETS // 2
+MARGIN = OFFSETS + 1  # columns without data on each side of the right image
 TILE_ROWS = 8
 INNER = LANES - 2 * RADIUS
-NO_GUESS = 2**20  # beyond every image
+STRIDE = (
+    LANES + 2
+)  # of the rows of a tile: two columns share a guess, and pairs begin at even ones
+LEAD = 2 - RADIUS  # where the first lane is in them
 NO_SCORE = np.float32(-2)
 
 
@@ -31,10 +42,8 @@ class GuidedPair(NamedTuple):
     """Both images with a border without data, and the guesses.
 
     ``left`` (H + 2 RADIUS, W + 2 RADIUS + LANES) and ``right`` (H + 2 RADIUS, W + 2 MARGIN) are
-    float32, NaN = no data. ``guesses`` (S, ceil(H / 2), ceil(W / 2)) int32: disparities of up to S
-    surfaces at each pixel of half the resolution, in whole pixels of the full one; `NO_GUESS` =
-    none. ``edges`` (ceil(H / 2), ceil(W / 2)): where the surfaces differ. ``least_energy``: least
-    sum of squared differences from the mean of a window that is scored, times its pixels.
+    float32, NaN = no data. ``guesses`` and ``edges``: see `Guesses`. ``least_energy``: least sum
+    of squared differences from the mean of a window that is scored, times its pixels.
     """
 
     left: Array
@@ -47,16 +56,15 @@ class GuidedPair(NamedTuple):
 class Work(NamedTuple):
     """What a tile needs: its pixels row by row, `LANES` columns, with its border.
 
-    ``bases``: the guesses; ``warped`` (OFFSETS, ...): right pixels at each offset from them;
-    ``sums``: sums over the rows of windows, of levels and squares of the left image, then of
-    levels, squares and products at each offset; ``scores`` (OFFSETS, ...); ``found`` and ``best``:
+    ``bases``: the guesses, rows of `STRIDE`; ``warped`` (OFFSETS, ...): right pixels at each
+    offset from them, likewise; ``sums``: sums over the rows of windows, of levels and squares of
+    the left image, then of levels, squares and products at each offset; ``found`` and ``best``:
     the best disparity and its score; ``tried``: 1 where the guesses are tried, else 0.
     """
 
     bases: Array
     warped: Array
     sums: Array
-    scores: Array
     found: Array
     best: Array
     tried: Array
@@ -64,14 +72,13 @@ class Work(NamedTuple):
 
 @inline_kernel
 def _new_work() -> Work:
-    size, spare = TILE_ROWS * LANES, 2 * LANES
-    whole = size + 2 * RADIUS * LANES + spare
+    size = TILE_ROWS * LANES
+    whole = (TILE_ROWS + 2 * RADIUS) * STRIDE + 2 * LANES
     kind = np.float32
     return Work(
         np.zeros(whole, kind),
         np.zeros((OFFSETS, whole), kind),
-        np.zeros((2 + 3 * OFFSETS, size + spare), kind),
-        np.zeros((OFFSETS, size), kind),
+        np.zeros((2 + 3 * OFFSETS, size + LANES), kind),
         np.zeros(size, kind),
         np.zeros(size, kind),
         np.zeros(size, kind),
@@ -87,22 +94,24 @@ def _warp(
     Of the rows of the tile, with its border, that are needed for those ``wanted``.
     """
     top, x = tile
-    height, width = pair.left.shape[0] - 2 * RADIUS, pair.left.shape[1] - 2 * RADIUS - LANES
-    last = width + 2 * MARGIN - OFFSETS
+    height, half_width = pair.left.shape[0] - 2 * RADIUS, pair.guesses.shape[2]
+    last = pair.right.shape[1] - OFFSETS - 1
     bases, warped = work.bases, work.warped
     for j in range(TILE_ROWS + 2 * RADIUS):
-        if not wanted[max(j - 2 * RADIUS, 0) : j + 1].any():
+        needed = False
+        for i in range(max(j - 2 * RADIUS, 0), min(j + 1, TILE_ROWS)):
+            needed |= wanted[i]
+        if not needed:
             continue
         row = min(max(top + j - RADIUS, 0), height - 1)
         guesses, right = pair.guesses[surface, row >> 1], pair.right[row + RADIUS]
-        at = j * LANES
-        for i in range(LANES):
-            column = min(max(x + i - RADIUS, 0), width - 1)
-            guess = guesses[column >> 1]
-            bases[at + i] = guess
+        for i in range(0, STRIDE, 2):
+            column, at = x - 2 + i, j * STRIDE + i
+            guess = guesses[min(max(column >> 1, 0), half_width - 1)]
+            bases[at] = bases[at + 1] = guess
             first = min(max(column - guess - BAND + MARGIN, 0), last)
             for k in range(OFFSETS):
-                warped[k, at + i] = right[first + OFFSETS - 1 - k]
+                copy_pair(right, first + OFFSETS - 1 - k, warped[k], at)
 
 
 @inline_kernel
@@ -123,7 +132,7 @@ def _sum_columns(pair: GuidedPair, tile: tuple[int, int], wanted: Array, work: W
         for k in range(OFFSETS):
             sum_r = sum_rr = sum_lr = zero
             for m in range(SIDE):
-                level = load(warped[k], (j + m) * LANES)
+                level = load(warped[k], (j + m) * STRIDE + LEAD)
                 sum_r, sum_rr = sum_r + level, sum_rr + level * level
                 sum_lr = sum_lr + level * load(pair.left[top + j + m], x)
             store(sums[3 * k + 2], j * LANES, sum_r)
@@ -141,29 +150,20 @@ def _window_sum(sums: Array, at: int) -> Any:
 
 
 @inline_kernel
-def _score(pair: GuidedPair, wanted: Array, work: Work) -> None:
-    """Score the windows of a tile's wanted rows.
+def _score(sums: Array, at: int, k: int, left: tuple[Any, Any], least_energy: float) -> Any:
+    """Return the scores of windows at an offset; ``left``: sums and energies of the left image.
 
-    Scores are the square of the NCC with its sign: they have the same maximum, without a root.
+    They are the square of the NCC with its sign: it has the same maximum, without a root.
     """
     count, zero = splat(np.float32(SIDE * SIDE)), splat(np.float32(0))
-    no_score, least = splat(NO_SCORE), splat(np.float32(pair.least_energy))
-    least_product = splat(np.float32(1e-12))
-    sums, scores = work.sums, work.scores
-    for j in range(TILE_ROWS):
-        if not wanted[j]:
-            continue
-        at = j * LANES
-        sum_l = _window_sum(sums[0], at)
-        energy_l = _window_sum(sums[1], at) * count - sum_l * sum_l
-        for k in range(OFFSETS):
-            sum_r = _window_sum(sums[3 * k + 2], at)
-            energy_r = _window_sum(sums[3 * k + 3], at) * count - sum_r * sum_r
-            covariance = _window_sum(sums[3 * k + 4], at) * count - sum_l * sum_r
-            energies = larger(energy_l * energy_r, least_product)
-            score = covariance * larger(covariance, zero - covariance) / energies
-            score = at_most(least, energy_l, score, no_score)
-            store(scores[k], at, at_most(least, energy_r, score, no_score))
+    no_score, least = splat(NO_SCORE), splat(np.float32(least_energy))
+    sum_l, energy_l = left
+    sum_r = _window_sum(sums[3 * k + 2], at)
+    energy_r = _window_sum(sums[3 * k + 3], at) * count - sum_r * sum_r
+    covariance = _window_sum(sums[3 * k + 4], at) * count - sum_l * sum_r
+    energies = larger(energy_l * energy_r, splat(np.float32(1e-12)))
+    score = covariance * larger(covariance, zero - covariance) / energies
+    return at_most(least, energy_r, at_most(least, energy_l, score, no_score), no_score)
 
 
 @inline_kernel
@@ -173,43 +173,43 @@ def _mean_guess(bases: Array, at: int) -> Any:
     An offset is that of the window, not of its middle pixel, whose guess is rounded.
     """
     zero, one, pixels = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(SIDE * SIDE))
-    middle = load(bases, at + RADIUS * LANES + RADIUS)
+    middle = load(bases, at + RADIUS * STRIDE + RADIUS)
     total = zero
     for j in range(SIDE):
         for i in range(SIDE):
-            step = load(bases, at + j * LANES + i) - middle
+            step = load(bases, at + j * STRIDE + i) - middle
             total = total + at_most(larger(step, zero - step), one, step, zero)
     return middle + total / pixels
 
 
 @inline_kernel
-def _keep_best(wanted: Array, work: Work) -> None:
+def _keep_best(least_energy: float, wanted: Array, work: Work) -> None:
     """Keep the best disparity of each pixel of a tile, at the maximum of a parabola."""
     zero, one, half = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(0.5))
     scored, flat = splat(np.float32(-1)), splat(np.float32(1e-6))
     no_score = splat(NO_SCORE)
-    scores, found, best = work.scores, work.found, work.best
+    sums, found, best = work.sums, work.found, work.best
     for j in range(TILE_ROWS):
         if not wanted[j]:
             continue
         at = j * LANES
-        base = _mean_guess(work.bases, at)
-        highest, value, tried = load(best, at), load(found, at), load(work.tried, at)
-        for k in range(OFFSETS):
-            score = load(scores[k], at)
-            offset = zero
-            if 0 < k < OFFSETS - 1:
-                before, after = load(scores[k - 1], at), load(scores[k + 1], at)
-                curvature = score + score - before - after
-                offset = half * (after - before) / larger(curvature, flat)
-                offset = at_most(curvature, zero, zero, offset)
-                offset = at_most(scored, before, at_most(scored, after, offset, zero), zero)
-                offset = larger(smaller(offset, one), zero - one)
-            score = at_most(one, tried, score, no_score)
-            value = at_most(score, highest, value, base + splat(np.float32(k - BAND)) + offset)
-            highest = larger(highest, score)
-        store(best, at, highest)
-        store(found, at, value)
+        sum_l = _window_sum(sums[0], at)
+        left = sum_l, _window_sum(sums[1], at) * splat(np.float32(SIDE * SIDE)) - sum_l * sum_l
+        before = _score(sums, at, 0, left, least_energy)
+        same = _score(sums, at, 1, left, least_energy)
+        after = _score(sums, at, 2, left, least_energy)
+        curvature = same + same - before - after
+        step = half * (after - before) / larger(curvature, flat)
+        step = at_most(curvature, zero, zero, step)
+        step = at_most(scored, before, at_most(scored, after, step, zero), zero)
+        step = larger(smaller(step, one), zero - one)
+        highest = larger(before, same)
+        step = at_most(after, highest, at_most(same, before, zero - one, step), one)
+        highest = larger(highest, after)
+        value = _mean_guess(work.bases, j * STRIDE + LEAD) + step
+        score = at_most(one, load(work.tried, at), highest, no_score)
+        store(found, at, at_most(score, load(best, at), load(found, at), value))
+        store(best, at, larger(load(best, at), score))
 
 
 @inline_kernel
@@ -234,15 +234,21 @@ def _select(edges: Array, tile: tuple[int, int], rows: int, wanted: Array, work:
 
 @kernel
 def refine_strip(
-    pair: GuidedPair, images: tuple[Array, Array, Array], clear: float, start: int, stop: int
+    pair: GuidedPair,
+    halves: tuple[Array, Array, Array],
+    clear: float,
+    results: tuple[Array, Array],
+    start: int,
+    stop: int,
 ) -> None:
     """Write the best disparities of rows ``start`` to ``stop`` around their guesses.
 
-    ``images``: the guess of each pixel of half resolution, in its pixels, NaN = none; where it is
-    doubtful, bool; and the result (H, W), NaN = none. Without a score a pixel keeps its guess; a
-    doubtful one needs a score above ``clear``.
+    ``halves``, of each pixel of half resolution: the guess in its pixels, NaN = none; whether it
+    is doubtful; and the validity. ``results`` (H, W): disparity, NaN = none, and validity. Without
+    a score a pixel keeps its guess; a doubtful one needs a score above ``clear``.
     """
-    guesses, doubtful, disparity = images
+    guesses, doubtful, reasons = halves
+    disparity, validity = results
     width = disparity.shape[1]
     work, wanted = _new_work(), np.empty(TILE_ROWS, np.bool_)
     found, best = work.found, work.best
@@ -258,39 +264,14 @@ def refine_strip(
                     break
                 _warp(pair, surface, tile, wanted, work)
                 _sum_columns(pair, tile, wanted, work)
-                _score(pair, wanted, work)
-                _keep_best(wanted, work)
+                _keep_best(pair.least_energy, wanted, work)
             for j in range(rows):
-                own, unsure = guesses[(top + j) >> 1], doubtful[(top + j) >> 1]
-                out = disparity[top + j]
+                half = (top + j) >> 1
+                own, unsure, known = guesses[half], doubtful[half], reasons[half]
+                out, why = disparity[top + j], validity[top + j]
                 for i in range(min(INNER, width - x)):
                     half, score = (x + i) >> 1, best[j * LANES + i]
                     value = found[j * LANES + i] if score > NO_SCORE else own[half] + own[half]
                     kept = (score > limit) | (unsure[half] == 0)
                     out[x + i] = value if kept else none
-
-
-@kernel
-def hidden_strip(
-    disparity: Array, tolerance: float, validity: Array, start: int, stop: int
-) -> None:
-    """Drop disparities that lead to a pixel of the right image where another surface is nearer.
-
-    A surface is nearer if its disparity is larger by more than ``tolerance``.
-    """
-    width = disparity.shape[1]
-    nearest = np.empty(width, np.float32)
-    for y in range(start, stop):
-        nearest[:] = -np.inf
-        row = disparity[y]
-        for x in range(width):
-            if row[x] == row[x]:
-                there = x - int(np.rint(row[x]))
-                if 0 <= there < width:
-                    nearest[there] = max(nearest[there], row[x])
-        for x in range(width):
-            if row[x] == row[x]:
-                there = x - int(np.rint(row[x]))
-                if 0 <= there < width and nearest[there] - row[x] > tolerance:
-                    row[x] = np.nan
-                    validity[y, x] = reason.CONFLICT
+                    why[x + i] = known[half]

@@ -7,29 +7,31 @@ import dataclasses
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
-from binocular_recon.images import ByteImage, FloatImage, Mask, window_range
+from binocular_recon.images import ByteImage, FloatImage, Mask
 from binocular_recon.stereo.matching._preparation_kernels import MID_GREY
+from binocular_recon.stereo.matching.coarse_to_fine._guess_kernels import (
+    Guesses,
+    guess_strip,
+    sum_steps,
+)
 from binocular_recon.stereo.matching.coarse_to_fine._guided_kernels import (
     MARGIN,
-    NO_GUESS,
     RADIUS,
     SIDE,
     GuidedPair,
-    hidden_strip,
     refine_strip,
 )
+from binocular_recon.stereo.matching.coarse_to_fine._visibility_kernels import hidden_strip
 from binocular_recon.stereo.matching.half_resolution import half_config
-from binocular_recon.stereo.validity import Validity
 
 # Surfaces are told apart if their disparities differ by more than this, in px of half resolution.
 EDGE_PX = 1.0
 # Pixels this near to an edge, in px of half resolution, may be on the wrong side of it.
-NEAR_EDGE_PX = 3
+NEAR_EDGE_PX = 1
 # Halving leaves 4.5 % of the variance of the steps of white noise; below twice that share, in
 # windows of this many px of half resolution on each side, there is no texture.
 NOISE_SHARE = 0.09
@@ -67,19 +69,13 @@ def is_noise(image: FloatImage, half: FloatImage) -> Mask:
     further down.
 
     """
-    fine = _variance_of_steps(image, 2 * NOISE_WINDOW_PX)[::2, ::2]
-    noise: Mask = _variance_of_steps(half, NOISE_WINDOW_PX) < NOISE_SHARE * fine
+    sums = np.empty((4, *half.shape), np.float32)
+    over_strips(sum_steps, len(half), image, half, sums)
+    size = (2 * NOISE_WINDOW_PX + 1, 2 * NOISE_WINDOW_PX + 1)
+    step, square, half_step, half_square = (cv2.boxFilter(part, -1, size) for part in sums)
+    fine = square / 4 - step * step / 16  # of 4 steps each
+    noise: Mask = half_square - half_step * half_step < NOISE_SHARE * fine
     return noise
-
-
-def _variance_of_steps(image: FloatImage, reach_px: int) -> FloatImage:
-    """Return the variance, in windows, of the differences of neighbours in a row."""
-    steps = np.zeros_like(image)
-    np.subtract(image[:, 1:], image[:, :-1], out=steps[:, 1:])
-    steps[np.isnan(steps)] = 0
-    size = (2 * reach_px + 1, 2 * reach_px + 1)
-    mean = cv2.boxFilter(steps, -1, size)
-    return np.asarray(cv2.sqrBoxFilter(steps, -1, size) - mean * mean, np.float32)
 
 
 def refine_coarse(
@@ -106,65 +102,55 @@ def refine_coarse(
         NaN = none.
     validity : (H, W) uint8
         `Validity.MEASURED`, or why there is no disparity.
-    near_edges : (H, W) uint8
+    near_edges : ((H + 1) // 2, (W + 1) // 2) uint8
         1 where pixels may be on the wrong side of an edge of disparity.
 
     Notes
     -----
     A pixel has up to three guesses: the disparity of its own coarse pixel, and the largest and
     the smallest one of the coarse pixels around, which are those of the other surface at an edge.
-    Each is tried with the two next disparities on either side. A pixel without a guess of its own
+    Each is tried with the next disparity on either side. A pixel without a guess of its own
     takes one of its neighbours' if its score is high. Of several pixels that see the same pixel of
     the right image, only the nearest can.
 
     """
-    shape = left.shape
     own, reasons = coarse
-    farthest, nearest = window_range(own, 3)
-    none = farthest > nearest
-    farthest[none], nearest[none] = np.nan, np.nan
-    edges = nearest - farthest > EDGE_PX
-    known = np.where(np.isnan(own), farthest, own)
+    shape, half = left.shape, own.shape
+    limits = coarse_config(config).limits_px
+    prior = Guesses(
+        np.empty(half, np.float32),
+        np.empty((3, *half), np.int32),
+        np.empty(half, np.bool_),
+        np.empty(half, np.bool_),
+    )
+    bordered = cv2.copyMakeBorder(own, 1, 1, 1, 1 + LANES, cv2.BORDER_CONSTANT, value=np.nan)
+    over_strips(guess_strip, half[0], bordered, EDGE_PX, limits, prior)
     pair = GuidedPair(
         _bordered(left, RADIUS, RADIUS + LANES),
         _bordered(right, MARGIN, MARGIN),
-        np.stack([_guess(surface) for surface in (known, nearest, farthest)]),
-        edges,
+        prior.guesses,
+        prior.edges,
         (config.texture_threshold * SIDE * SIDE) ** 2,
     )
-    limits = coarse_config(config).limits_px
-    doubtful = np.isnan(own) | (np.rint(own) <= limits[0]) | (np.rint(own) >= limits[1])
-    disparity, validity = np.empty(shape, np.float32), _enlarged(reasons, shape)
-    images = known, doubtful, disparity
-    over_strips(refine_strip, shape[0], pair, images, CLEAR_SCORE, strip=32)
+    disparity, validity = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    halves, results = (prior.known, prior.doubtful, reasons), (disparity, validity)
+    over_strips(refine_strip, shape[0], pair, halves, CLEAR_SCORE, results, strip=32)
     if config.disp12_max_diff >= 0:
         # columns are rounded
         tolerance = config.disp12_max_diff + 0.5
-        over_strips(hidden_strip, shape[0], disparity, tolerance, validity)
         low, high = config.limits_px
-        outside = (disparity < low + 0.5) | (disparity > high - 0.5)
-        validity[outside] = Validity.AT_LIMIT
-        disparity[outside] = np.nan
+        inside = low + 0.5, high - 0.5
+        over_strips(hidden_strip, shape[0], disparity, tolerance, inside, validity)
     if not config.subpixel:
         np.rint(disparity, out=disparity)
     side = 2 * NEAR_EDGE_PX + 1
-    near = cv2.dilate(edges.view(np.uint8), np.ones((side, side), np.uint8))
-    return disparity, validity, _enlarged(near, shape)
+    near = cv2.dilate(prior.edges.view(np.uint8), np.ones((side, side), np.uint8))
+    return disparity, validity, np.asarray(near, np.uint8)
 
 
 def _bordered(image: FloatImage, before: int, behind: int) -> FloatImage:
     """Return an image, from mid grey, with columns and rows without data on all sides."""
     borders = RADIUS, RADIUS, before, behind
-    centred = image - np.float32(MID_GREY)
-    bordered = cv2.copyMakeBorder(centred, *borders, cv2.BORDER_CONSTANT, value=np.nan)
+    bordered = cv2.copyMakeBorder(image, *borders, cv2.BORDER_CONSTANT, value=np.nan)
+    bordered -= np.float32(MID_GREY)
     return np.asarray(bordered, np.float32)
-
-
-def _guess(half_px: FloatImage) -> npt.NDArray[np.int32]:
-    """Return disparities of half resolution in whole pixels of the full one, int32."""
-    return np.where(np.isnan(half_px), NO_GUESS, np.rint(2 * half_px)).astype(np.int32)
-
-
-def _enlarged(half: ByteImage, shape: tuple[int, ...]) -> ByteImage:
-    """Return an image of half resolution at full resolution."""
-    return np.ascontiguousarray(half.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]])

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels that reject disparities, and the last step of a match."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
+from binocular_recon._simd import (
+    LANES,
+    at_most,
+    larger,
+    largest,
+    load,
+    smaller,
+    splat,
+    store,
+    to_int32,
+)
+from binocular_recon.stereo import _validity_kernels as reason
+
+
+@kernel
+def quantise(
+    disparity: Array, first: float, steps: float, whole: Array, start: int, stop: int
+) -> None:
+    """Write disparities, counted from ``first``, in whole steps to ``whole``, int16; -1 = none."""
+    for y in range(start, stop):
+        for x in range(disparity.shape[1]):
+            here = (disparity[y, x] - np.float32(first)) * np.float32(steps)
+            whole[y, x] = np.int16(np.rint(here)) if here == here else np.int16(-1)
+
+
+@kernel
+def drop_negative(whole: Array, disparity: Array, start: int, stop: int) -> None:
+    """Set disparities to NaN where ``whole`` is negative."""
+    for y in range(start, stop):
+        for x in range(disparity.shape[1]):
+            disparity[y, x] = disparity[y, x] if whole[y, x] >= 0 else np.float32(np.nan)
+
+
+@inline_kernel
+def _column_range(disparity: Array, y: int, side: int, low: Array, high: Array) -> None:
+    """Write the smallest and the largest disparity of each column of the windows of row ``y``."""
+    for x in range(0, low.size, LANES):
+        least = most = load(disparity[y], x)
+        for j in range(1, side):
+            value = load(disparity[y + j], x)
+            least, most = smaller(least, value), larger(most, value)
+        store(low, x, least)
+        store(high, x, most)
+
+
+@kernel
+def drop_between_strip(
+    padded: Array,
+    limits: tuple[int, float, float, int],
+    disparity: Array,
+    sigma: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Drop pixels next to a step with too few like them around.
+
+    ``limits`` are the radius of the window, the least step in it, the largest difference of pixels
+    that are alike, and how many there must be in a whole window, the pixel itself included.
+    ``padded`` (H + 2 radius, W + 2 radius + 2 LANES): the disparities, with a border of NaN.
+    """
+    radius, step, alike, least = limits
+    height, width = disparity.shape
+    side, none = 2 * radius + 1, np.float32(np.nan)
+    whole = side * side
+    columns = (-(-(width + 2 * radius) // LANES) + 1) * LANES
+    lows, highs = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    counts, marks = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    zero, one = splat(np.float32(0)), splat(np.float32(1))
+    edge, near, most = (
+        splat(np.float32(step)),
+        splat(np.float32(alike)),
+        splat(np.float32(np.inf)),
+    )
+    for y in range(start, stop):
+        _column_range(padded, y, side, lows, highs)
+        rows = min(y + radius + 1, height) - max(y - radius, 0)
+        for x in range(0, width, LANES):
+            here = load(padded[y + radius], x + radius)
+            low, high = load(lows, x), load(highs, x)
+            for i in range(1, side):
+                low, high = smaller(low, load(lows, x + i)), larger(high, load(highs, x + i))
+            rise = larger(here - low, high - here)
+            # not where there is no disparity
+            mark = at_most(rise, edge, zero, at_most(rise, most, one, zero))
+            if largest(to_int32(mark)) == 0:
+                continue
+            count = zero
+            for j in range(side):
+                row = padded[y + j]
+                for i in range(side):
+                    distance = load(row, x + i) - here
+                    distance = larger(distance, zero - distance)
+                    count = count + at_most(distance, near, one, zero)
+            store(counts, 0, count)
+            store(marks, 0, mark)
+            for i in range(min(LANES, width - x)):
+                # at the image border fewer suffice
+                inside = rows * (min(x + i + radius + 1, width) - max(x + i - radius, 0))
+                if marks[i] > 0 and np.int64(counts[i]) * whole < least * inside:
+                    disparity[y, x + i] = sigma[y, x + i] = none
+
+
+@exact_kernel
+def finish_strip(
+    measured: tuple[Array, Array, Array],
+    step: float,
+    unit: float,
+    limits: tuple[float, float],
+    confidence: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Round disparities to multiples of ``step``, drop those outside ``limits``, add confidence.
+
+    ``measured`` (H, W): disparities, their standard deviations and validity, which follows what
+    earlier steps added and dropped. ``confidence`` is `confidence_from_sigma`, with ``unit``.
+    """
+    low, high = np.float32(limits[0]), np.float32(limits[1])
+    size, per_step, width = np.float32(step), np.float32(1 / step), np.float32(unit)
+    one, zero, none = np.float32(1), np.float32(0), np.float32(np.nan)
+    yes, doubtful = np.uint8(reason.MEASURED), np.uint8(reason.AMBIGUOUS)
+    for y in range(start, stop):
+        row, sigma = measured[0][y], measured[1][y]
+        why, levels = measured[2][y], confidence[y]
+        for x in range(row.size):
+            value = np.rint(row[x] * per_step) * size
+            ratio = sigma[x] / width
+            level = one / (one + ratio * ratio)
+            level = level if level == level else zero
+            inside = (value >= low) & (value <= high)
+            row[x] = value if inside else none
+            levels[x] = level if inside else zero
+            was = doubtful if why[x] & yes else why[x]
+            why[x] = yes if inside else was
