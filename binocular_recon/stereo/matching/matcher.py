@@ -14,6 +14,7 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.confidence import SIGMA_UNIT_PX
 from binocular_recon.stereo.matching import _semi_global
+from binocular_recon.stereo.matching._finishing_kernels import finish_strip
 from binocular_recon.stereo.matching._ncc_kernels import score_strip
 from binocular_recon.stereo.matching._preparation import check_pair, prepare_pair, selection_of
 from binocular_recon.stereo.matching._selection_kernels import select_strip
@@ -26,7 +27,6 @@ from binocular_recon.stereo.matching.half_resolution import (
     has_low_texture,
 )
 from binocular_recon.stereo.matching.refinement import drop_flying, drop_speckles, smooth
-from binocular_recon.stereo.matching.refinement._rejection_kernels import finish_strip
 from binocular_recon.stereo.validity import Validity
 
 # Disparity, its standard deviation (both float32, NaN = none) and validity (uint8), all (H, W).

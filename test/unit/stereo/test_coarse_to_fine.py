@@ -55,16 +55,16 @@ def naive_refinement(left: FloatImage, right: FloatImage, half: FloatImage) -> F
                     other = np.array(
                         [right[j, int(i)] for (j, _), i in zip(window, columns, strict=True)]
                     )
-                    if min(own.std(), other.std()) >= 0.5:
+                    if min(own.std(), other.std()) >= 0.5 and np.isfinite(other).all():
                         ncc = np.corrcoef(own, other)[0, 1]
                         scores[k] = ncc * abs(ncc)
-            for k in range(3):
-                offset, before, after = 0.0, scores[max(k - 1, 0)], scores[min(k + 1, 2)]
-                bend = 2 * scores[k] - before - after
-                if k == 1 and before > -1 and after > -1 and bend > 0:
-                    offset = np.clip(0.5 * (after - before) / bend, -1, 1)
-                if scores[k] > best:
-                    best, found = scores[k], base + k - 1 + offset
+            before, same, after = scores
+            bend = 2 * same - before - after
+            offset = float(np.array([0, -1, 1])[np.argmax(scores[[1, 0, 2]])])
+            if before > -1 and after > -1 and bend > 1e-6:
+                offset = np.clip(0.5 * (after - before) / bend, -1, 1)
+            if scores.max() > best:
+                best, found = scores.max(), base + offset
         if not np.isnan(half[y // 2, x // 2]) or best > 0.8:
             result[y, x] = found
     return result
@@ -116,7 +116,7 @@ def test_a_shift_is_found_at_any_start_and_size(first: int, shape: tuple[int, in
         found = match(left, right, fast(min_disparity=first, disparity_range=count))
         error = found.disparity_px[6:-6, 26:-26] - shift
         assert np.isfinite(error).mean() > 0.97
-        assert abs(np.nanmean(error)) < 0.04  # of windows of 3x3
+        assert abs(np.nanmean(error)) < 0.03
         assert np.sqrt(np.nanmean(error**2)) < 0.08
     whole = match(left, right, fast(min_disparity=first, disparity_range=16, subpixel=False))
     assert set(np.unique(whole.disparity_px[6:-6, 26:-26])) <= {first + 7, first + 8, NAN}
@@ -129,8 +129,9 @@ def test_disparities_at_the_limits_are_no_matches() -> None:
         assert np.isfinite(found.disparity_px[:, 30:-10]).mean() < 0.02
     at_limit = match(left, right, fast(min_disparity=20, disparity_range=20)).validity
     assert (at_limit[6:-6, 40:-10] == Validity.AT_LIMIT).mean() > 0.9
-    inside = match(left, right, fast(min_disparity=19, disparity_range=20)).disparity_px
-    assert np.isfinite(inside[6:-6, 40:-10]).mean() > 0.95
+    for first, share in ((18, 0.98), (19, 0.9)):  # half a disparity is lost at each limit
+        inside = match(left, right, fast(min_disparity=first, disparity_range=20)).disparity_px
+        assert np.isfinite(inside[6:-6, 40:-10]).mean() > share
 
 
 def test_the_coarse_range_covers_the_range() -> None:

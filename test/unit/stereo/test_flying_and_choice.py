@@ -11,6 +11,7 @@ import pytest
 from binocular_recon._jit import limit_threads
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
+from binocular_recon.stereo.confidence import SIGMA_UNIT_PX, confidence_from_sigma
 from binocular_recon.stereo.holes._choice_kernels import (
     DISTANCE,
     EDGE,
@@ -22,8 +23,10 @@ from binocular_recon.stereo.holes._choice_kernels import (
 )
 from binocular_recon.stereo.holes.choice import follow_image
 from binocular_recon.stereo.holes.completion import complete
+from binocular_recon.stereo.matching._finishing_kernels import finish_strip
 from binocular_recon.stereo.matching.refinement import drop_flying
 from binocular_recon.stereo.matching.refinement.rejection import ALIKE_PX, EDGE_PX, WINDOW_PX
+from binocular_recon.stereo.validity import Validity
 
 pytestmark = pytest.mark.kernel
 CONFIG = MatchConfig(disparity_range=64)
@@ -150,3 +153,23 @@ def test_pixels_without_data_in_the_guide_change_nothing() -> None:
     filled = np.where(np.isnan(measured), np.float32(4), measured)
     follow_image(measured, filled, np.full_like(measured, np.nan), np.isnan(measured))
     assert np.isfinite(filled).all()
+
+
+def test_finishing_equals_its_naive_twin() -> None:
+    rng = np.random.default_rng(4)
+    disparity = rng.uniform(-1, 9, (7, 45)).astype(np.float32)
+    sigma = rng.uniform(0, 2, disparity.shape).astype(np.float32)
+    disparity[rng.random(disparity.shape) < 0.2] = np.nan
+    sigma[rng.random(disparity.shape) < 0.1] = np.nan
+    validity = rng.choice([Validity.MEASURED, Validity.AT_LIMIT], disparity.shape).astype(np.uint8)
+    expected = np.rint(disparity * 64) / 64
+    expected[(expected < 0) | (expected > 8)] = np.nan
+    kept = np.isfinite(expected)
+    reasons = np.where(validity == Validity.MEASURED, Validity.AMBIGUOUS, validity)
+    found, why, confidence = disparity.copy(), validity.copy(), np.empty_like(disparity)
+    finish_strip((found, sigma, why), 1 / 64, SIGMA_UNIT_PX, (0, 8), confidence, 0, 7)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(why, np.where(kept, Validity.MEASURED, reasons))
+    np.testing.assert_allclose(
+        confidence, np.where(kept, confidence_from_sigma(sigma), 0), rtol=1e-6
+    )

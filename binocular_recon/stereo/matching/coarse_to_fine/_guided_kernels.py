@@ -199,12 +199,12 @@ def _keep_best(least_energy: float, wanted: Array, work: Work) -> None:
         same = _score(sums, at, 1, left, least_energy)
         after = _score(sums, at, 2, left, least_energy)
         curvature = same + same - before - after
-        step = half * (after - before) / larger(curvature, flat)
-        step = at_most(curvature, zero, zero, step)
-        step = at_most(scored, before, at_most(scored, after, step, zero), zero)
-        step = larger(smaller(step, one), zero - one)
+        vertex = half * (after - before) / larger(curvature, flat)
+        vertex = larger(smaller(vertex, one), zero - one)
         highest = larger(before, same)
-        step = at_most(after, highest, at_most(same, before, zero - one, step), one)
+        step = at_most(after, highest, at_most(same, before, zero - one, zero), one)
+        curved = at_most(curvature, flat, step, vertex)
+        step = at_most(before, scored, step, at_most(after, scored, step, curved))
         highest = larger(highest, after)
         value = _mean_guess(work.bases, j * STRIDE + LEAD) + step
         score = at_most(one, load(work.tried, at), highest, no_score)

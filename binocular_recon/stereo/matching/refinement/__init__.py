@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement of chosen disparities.
+"""Refinement of chosen disparities, between selection and the filter.
 
 `smoothing` moves them onto planes and states their standard deviation; `rejection` drops speckles
-and flying pixels. Exports their functions.
+and flying pixels. Exports their functions, which change the disparities in place.
 """
 
 from typing import TYPE_CHECKING

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon._simd import (
     LANES,
     at_most,
@@ -17,7 +17,6 @@ from binocular_recon._simd import (
     store,
     to_int32,
 )
-from binocular_recon.stereo import _validity_kernels as reason
 
 
 @kernel
@@ -106,37 +105,3 @@ def drop_between_strip(
                 inside = rows * (min(x + i + radius + 1, width) - max(x + i - radius, 0))
                 if marks[i] > 0 and np.int64(counts[i]) * whole < least * inside:
                     disparity[y, x + i] = sigma[y, x + i] = none
-
-
-@exact_kernel
-def finish_strip(
-    measured: tuple[Array, Array, Array],
-    step: float,
-    unit: float,
-    limits: tuple[float, float],
-    confidence: Array,
-    start: int,
-    stop: int,
-) -> None:
-    """Round disparities to multiples of ``step``, drop those outside ``limits``, add confidence.
-
-    ``measured`` (H, W): disparities, their standard deviations and validity, which follows what
-    earlier steps added and dropped. ``confidence`` is `confidence_from_sigma`, with ``unit``.
-    """
-    low, high = np.float32(limits[0]), np.float32(limits[1])
-    size, per_step, width = np.float32(step), np.float32(1 / step), np.float32(unit)
-    one, zero, none = np.float32(1), np.float32(0), np.float32(np.nan)
-    yes, doubtful = np.uint8(reason.MEASURED), np.uint8(reason.AMBIGUOUS)
-    for y in range(start, stop):
-        row, sigma = measured[0][y], measured[1][y]
-        why, levels = measured[2][y], confidence[y]
-        for x in range(row.size):
-            value = np.rint(row[x] * per_step) * size
-            ratio = sigma[x] / width
-            level = one / (one + ratio * ratio)
-            level = level if level == level else zero
-            inside = (value >= low) & (value <= high)
-            row[x] = value if inside else none
-            levels[x] = level if inside else zero
-            was = doubtful if why[x] & yes else why[x]
-            why[x] = yes if inside else was
