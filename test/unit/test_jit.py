@@ -223,7 +223,7 @@ import numpy as np
 from binocular_recon.stereo.filtering._filter_kernels import gradients_to_links as links
 rng = np.random.default_rng(0)
 data, east, south = (rng.random((33, width), np.float32) for width in (200, 199, 200))
-links(60 * data, east, south[:32], (10.0, 1.0, 1e-4), 0, 32)
+links(60 * data, east, south[:32], (10.0, 1.0, 1e-4, 0.0), 0, 32)
 digest = hashlib.sha256(east.tobytes() + south.tobytes()).hexdigest()
 print(digest, sum(links.stats.cache_hits.values()))
 """
