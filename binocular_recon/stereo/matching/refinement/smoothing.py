@@ -25,6 +25,8 @@ from binocular_recon.stereo.matching.refinement._smoothing_kernels import (
 # Motorcycle, cones and teddy, where errors rise from 0.15 to 0.45 px with the residuals.
 COMMON_SIGMA_PX = 0.15
 RESIDUAL_FACTOR = 1.5
+# Of 3x3 windows, which do not overlap at the spacing of the samples: errors are not correlated.
+RESIDUAL_FACTOR_3X3 = 1.0
 # Samples whose disparity differs by more than this belong to another surface.
 SAME_SURFACE_PX = 1.5
 # Weighted median: difference of grey levels that halves a weight, and the difference from the
@@ -48,7 +50,7 @@ def smooth(
     near_edges : ((H + 1) // 2, (W + 1) // 2) uint8, optional
         At half resolution, 1 where disparities may be on the wrong side of an edge. Given, only
         these are replaced by the weighted median, and only if they differ from it by more than
-        `WRONG_SIDE_PX`.
+        `WRONG_SIDE_PX`; and disparities are those of windows of 3x3 px.
 
     Returns
     -------
@@ -77,7 +79,8 @@ def smooth(
     samples = np.empty((height + 2 * BORDER, width + 2 * BORDER + LANES), np.float32)
     over_strips(weighted_median_strip, height, images, where, spacing, softness, wrong, samples)
     results = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    terms = RESIDUAL_FACTOR**2, COMMON_SIGMA_PX**2
+    factor = RESIDUAL_FACTOR if near_edges is None else RESIDUAL_FACTOR_3X3
+    terms = factor**2, COMMON_SIGMA_PX**2
     over_strips(plane_strip, height, samples, SAME_SURFACE_PX, terms, results)
     return results
 
