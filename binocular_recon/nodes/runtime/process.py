@@ -192,7 +192,7 @@ def run_node(
 def _run(
     make_node: Callable[[], Node], args: Sequence[str], threads: int, *, of_process: bool
 ) -> int:
-    node, interrupted = None, False
+    node, status = None, 0
     try:
         if of_process:  # before ROS, whose handlers call these: SIGTERM, too, ends a compilation
             raise_signals()
@@ -203,7 +203,7 @@ def _run(
         executor = SingleThreadedExecutor() if threads == 1 else MultiThreadedExecutor(threads)
         rclpy.spin(node, executor)
     except (KeyboardInterrupt, ExternalShutdownException):
-        interrupted = True
+        pass
     except Exception as error:
         # ROS may turn the interrupt into an error of its own, or be shut down by it
         of_ros = node is not None and isinstance(error, RuntimeError) and not rclpy.ok()
@@ -212,13 +212,13 @@ def _run(
             raise
         if not interrupted:
             get_logger('binocular_recon').fatal(str(error))
-            return 1
+            status = 1
     finally:
         if of_process:
             ignore_signals()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    if of_process and interrupted and node is None:
-        leave(0)
-    return 0
+    if of_process and node is None:  # what there is of it may crash when it is taken down
+        leave(status)
+    return status
