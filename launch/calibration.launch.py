@@ -25,7 +25,10 @@ ARGUMENTS = {
     name: CHAIN['ARGUMENTS'][name]
     for name in (
         'namespace',
-        *(f'{side}_{name}' for side in CHAIN['SIDES'] for name in ('namespace', 'image')),
+        'left_namespace',
+        'left_image',
+        'right_namespace',
+        'right_image',
         'params_file',
         'use_sim_time',
         'dds_profile',
