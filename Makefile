@@ -88,15 +88,16 @@ suites: setup jazzy-environment
 
 unit-suites:
 	@echo 'tests of units and replay with the newest versions, then unit tests but the long ones'
-	@echo 'with the oldest, kernels that are not compiled, and a ROS workspace'
+	@echo 'with the oldest'
 	$(PYTEST) -q test/unit test/replay
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
-	@$(MAKE) --no-print-directory kernels colcon
 
 node-suites:
-	@echo 'system tests but the long ones with ROS 2 Jazzy, then all that is left with Kilted'
+	@echo 'system tests but the long ones with ROS 2 Jazzy, kernels that are not compiled, a ROS'
+	@echo 'workspace, then all that is left with Kilted'
 	.venv-jazzy/bin/python -m pytest -q test/system -m 'not long' || \
 	    { status=$$?; test $$status = 5; } # 5 = there is none to run, without ROS
+	@$(MAKE) --no-print-directory kernels colcon
 	$(PYTEST) --done test/unit --done test/replay
 endif
 
