@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from binocular_recon._jit import Array, kernel
+from binocular_recon._jit import Array, inline_kernel, kernel
 from binocular_recon._simd import LANES, larger, load, smaller, store
 
 NO_GUESS = 2**20  # beyond every image
@@ -28,6 +28,14 @@ class Guesses(NamedTuple):
     doubtful: Array
 
 
+@inline_kernel
+def _in_full_pixels(values: Array, guesses: Array) -> None:
+    """Write disparities of half resolution in whole pixels of full resolution."""
+    two, nothing = np.float32(2), np.float32(NO_GUESS)
+    for x in range(guesses.size):
+        guesses[x] = np.int32(np.rint(two * values[x]) if values[x] == values[x] else nothing)
+
+
 @kernel
 def guess_strip(
     coarse: Array, edge: float, limits: tuple[float, float], out: Guesses, start: int, stop: int
@@ -39,7 +47,6 @@ def guess_strip(
     """
     width = out.known.shape[1]
     step, low, high = np.float32(edge), np.float32(limits[0]), np.float32(limits[1])
-    two, nothing = np.float32(2), np.float32(NO_GUESS)
     far, near = (
         np.empty(width + 2 + 2 * LANES, np.float32),
         np.empty(width + 2 + 2 * LANES, np.float32),
@@ -57,12 +64,9 @@ def guess_strip(
         for x in range(width):
             own = coarse[y + 1, x + 1]
             known[x] = own if own == own else far[x]
-        for x in range(width):
-            first[x] = np.int32(np.rint(two * known[x]) if known[x] == known[x] else nothing)
-        for x in range(width):
-            second[x] = np.int32(np.rint(two * near[x]) if near[x] == near[x] else nothing)
-        for x in range(width):
-            third[x] = np.int32(np.rint(two * far[x]) if far[x] == far[x] else nothing)
+        _in_full_pixels(known, first)
+        _in_full_pixels(near, second)
+        _in_full_pixels(far, third)
         for x in range(width):
             edges[x] = near[x] - far[x] > step
         for x in range(width):

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that reject disparities, and the last step of a match."""
+"""Kernels that reject disparities: speckles and flying pixels."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from binocular_recon._jit import Array, inline_kernel, kernel
+from binocular_recon._jit import Array, kernel
 from binocular_recon._simd import (
     LANES,
     at_most,
@@ -17,6 +17,7 @@ from binocular_recon._simd import (
     store,
     to_int32,
 )
+from binocular_recon.stereo.matching.refinement._window_kernels import column_range
 
 
 @kernel
@@ -36,18 +37,6 @@ def drop_negative(whole: Array, disparity: Array, start: int, stop: int) -> None
     for y in range(start, stop):
         for x in range(disparity.shape[1]):
             disparity[y, x] = disparity[y, x] if whole[y, x] >= 0 else np.float32(np.nan)
-
-
-@inline_kernel
-def _column_range(disparity: Array, y: int, side: int, low: Array, high: Array) -> None:
-    """Write the smallest and the largest disparity of each column of the windows of row ``y``."""
-    for x in range(0, low.size, LANES):
-        least = most = load(disparity[y], x)
-        for j in range(1, side):
-            value = load(disparity[y + j], x)
-            least, most = smaller(least, value), larger(most, value)
-        store(low, x, least)
-        store(high, x, most)
 
 
 @kernel
@@ -79,7 +68,7 @@ def drop_between_strip(
         splat(np.float32(np.inf)),
     )
     for y in range(start, stop):
-        _column_range(padded, y, side, lows, highs)
+        column_range(padded, y, side, 1, lows, highs)
         rows = min(y + radius + 1, height) - max(y - radius, 0)
         for x in range(0, width, LANES):
             here = load(padded[y + radius], x + radius)

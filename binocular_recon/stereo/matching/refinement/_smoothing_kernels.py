@@ -19,6 +19,7 @@ from binocular_recon._simd import (
     store,
     to_int32,
 )
+from binocular_recon.stereo.matching.refinement._window_kernels import column_range
 
 # Planes: samples on each side of the pixel, and their spacing in pixels (neighbours have
 # correlated errors).
@@ -31,18 +32,6 @@ WIDE_SPACING = 3
 MEDIAN_ERROR_PX = np.float32(0.1)  # at which bisection stops
 LEAST_SAMPLES = np.float32(5)  # of a plane
 LEAST_SPREAD = np.float32(1e-2)  # of the samples: on a line they do not define a plane
-
-
-@inline_kernel
-def _column_range(values: Array, y: int, spacing: int, low: Array, high: Array) -> None:
-    """Write the smallest and the largest value of each column of the windows of row ``y``."""
-    for x in range(0, values.shape[1] - LANES + 1, LANES):
-        least = most = load(values[y], x)
-        for j in range(spacing, 2 * MEDIAN_BORDER + 1, spacing):
-            value = load(values[y + j], x)
-            least, most = smaller(least, value), larger(most, value)
-        store(low, x, least)
-        store(high, x, most)
 
 
 @inline_kernel
@@ -97,7 +86,7 @@ def weighted_median_strip(
     certain = splat(np.float32(keep) - MEDIAN_ERROR_PX)
     for y in range(start, stop):
         if where.size == 0 or where[y >> 1].any():
-            _column_range(values, y, spacing, lows, highs)
+            column_range(values, y, 2 * MEDIAN_BORDER + 1, spacing, lows, highs)
         for x in range(0, width, LANES):
             here = load(values[y + MEDIAN_BORDER], x + MEDIAN_BORDER)
             store(medians, x, here)

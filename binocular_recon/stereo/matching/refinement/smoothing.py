@@ -69,17 +69,19 @@ def smooth(
 
     """
     height, width = disparity_px.shape
-    filled = cv2.medianBlur(fill_from_background(disparity_px), 5 if near_edges is None else 3)
-    wrong = WRONG_PX if near_edges is None else WRONG_SIDE_PX
-    spacing = MEDIAN_SPACING if near_edges is None else WIDE_SPACING
-    where = np.empty((0, 0), np.uint8) if near_edges is None else near_edges
+    if near_edges is None:
+        side, spacing, wrong, factor = 5, MEDIAN_SPACING, WRONG_PX, RESIDUAL_FACTOR
+        where = np.empty((0, 0), np.uint8)  # everywhere
+    else:
+        side, spacing, wrong, factor = 3, WIDE_SPACING, WRONG_SIDE_PX, RESIDUAL_FACTOR_3X3
+        where = near_edges
+    filled = cv2.medianBlur(fill_from_background(disparity_px), side)
     # relative to the contrast of the image, so that the exposure does not matter
     softness = SAME_OBJECT_LEVELS / exposure_gain(left)
     images = _bordered(filled), _bordered(left), disparity_px
     samples = np.empty((height + 2 * BORDER, width + 2 * BORDER + LANES), np.float32)
     over_strips(weighted_median_strip, height, images, where, spacing, softness, wrong, samples)
     results = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    factor = RESIDUAL_FACTOR if near_edges is None else RESIDUAL_FACTOR_3X3
     terms = factor**2, COMMON_SIGMA_PX**2
     over_strips(plane_strip, height, samples, SAME_SURFACE_PX, terms, results)
     return results
