@@ -146,7 +146,8 @@ class Player:
     def wait_for_delivery(self) -> None:
         """Return when subscribers have acknowledged what was published, or after a while."""
         deadline_s = self._timer.monotonic() + _END_WITHIN_S
-        for publisher in self._publishers.values():
+        clock = [self._clock] if self._clock else []
+        for publisher in [*self._publishers.values(), *clock]:
             left_s = max(0.0, deadline_s - self._timer.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 

@@ -37,12 +37,16 @@ class FakePublisher:
         self._timer = timer
         self.matched_at_s = 0.0
         self.sent: list[tuple[float, Any]] = []
+        self.acknowledged = 0
 
     def get_subscription_count(self) -> int:
         return int(self._timer.now_s >= self.matched_at_s)
 
     def publish(self, message: Any) -> None:
         self.sent.append((self._timer.now_s, message))
+
+    def wait_for_all_acked(self, _timeout: Any) -> None:
+        self.acknowledged = len(self.sent)
 
     @property
     def times_s(self) -> list[float]:
@@ -117,6 +121,14 @@ def test_messages_are_published_when_they_are_due(
         player(node, bag, rate=rate, clock=clock).play_once()
     times_s = node.publishers['/left/camera_info'].times_s
     assert times_s == pytest.approx([ms / 1000 / rate for ms in after_ms], abs=1e-6)
+
+
+def test_the_last_messages_and_the_last_time_are_delivered(node: FakeNode, infos: Bag) -> None:
+    playing = player(node, infos, clock=True)
+    playing.play_once()
+    playing.wait_for_delivery()
+    for topic in ('/left/camera_info', '/right/camera_info', '/clock'):
+        assert node.publishers[topic].acknowledged == len(node.publishers[topic].sent) > 0
 
 
 def test_late_messages_are_published_at_once_and_the_delay_reported(
