@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any, TypeVar, cast
 
@@ -114,12 +114,23 @@ def over_strips(function: Callable[..., None], length: int, *args: Any, strip: i
     The strips do not depend on the number of threads, so results that are accumulated per strip
     do not either. Strips must not write to the same memory.
     """
+    starts = iter(range(0, length, strip))  # each strip goes to the thread that takes it first
+
+    def work() -> None:
+        for start in starts:
+            function(*args, start, min(start + strip, length))
+
     threads = thread_count()
-    bounds = [(start, min(start + strip, length)) for start in range(0, length, strip)]
-    if threads == 1 or len(bounds) == 1:
-        for start, stop in bounds:
-            function(*args, start, stop)
+    helpers = min(threads, -(-length // strip)) - 1
+    if helpers < 1:
+        work()
         return
-    pool = _pool(threads, getattr(_lane, 'name', ''))
-    for future in [pool.submit(function, *args, start, stop) for start, stop in bounds]:
-        future.result()
+    pool = _pool(threads - 1, getattr(_lane, 'name', ''))
+    shares = [pool.submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        wait([share for share in shares if not share.cancel()])
+    for share in shares:
+        if not share.cancelled():
+            share.result()
