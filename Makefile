@@ -35,11 +35,12 @@ demo: runtime ## the whole chain on the recorded bag; writes out/demo/
 	@$(RUN) -m binocular_recon demo --output out/demo
 
 # The closing line is that of the whole suite; it says what was not run. The other environments
-# are installed while the code is checked: an installation keeps one core busy.
+# are installed, and the site is made, while the code is checked: each keeps one core busy.
 test: ## everything that CI runs
 	@$(MAKE) --no-print-directory environments & environments=$$!; \
-	$(MAKE) --no-print-directory lint site; status=$$?; \
-	wait $$environments && exit $$status
+	$(MAKE) --no-print-directory site & site=$$!; \
+	$(MAKE) --no-print-directory lint; status=$$?; \
+	wait $$site || status=$$?; wait $$environments && exit $$status
 	@$(MAKE) --no-print-directory suites
 
 lint: setup ## format, lint rules and types

@@ -100,15 +100,15 @@ def test_light_lowest_band_is_measured_to_hundredths() -> None:
 
 
 def test_both_types_on_clutter() -> None:
-    """Bounds of test_clutter_occlusion_border_and_tilt; every other board begins with light."""
+    """Bounds of test_clutter_occlusion_border_and_tilt, for a board of each type."""
     scores = []
-    for seed, board in enumerate((DARK, LIGHT, DARK, LIGHT)):
+    for seed, board in enumerate((DARK, LIGHT)):
         rng = np.random.default_rng([12, seed])
         capture = simulate_capture(board, RIG, rng, mixed_options(rng))
         scores.append(score_capture(board, capture))
     figures = summarise_scores(scores)
     assert figures['wrong_identities'] == 0
-    assert figures['boards_complete'] >= 3
+    assert figures['boards_complete'] == 2
     assert max(figures['rms_px'].values()) < 0.12
 
 
