@@ -191,7 +191,8 @@ def scale_between(size: tuple[int, int], calibrated: tuple[int, int]) -> str:
     if math.isclose(x, y, rel_tol=0.01):
         return (
             f'use the calibration of this resolution, or if only the resolution was changed, scale'
-            f' K and P by {x:.4g}'
+            f' K and P by {x:.4g}; if they are those of this resolution, correct the size beside'
+            ' them'
         )
     return 'use the calibration of this resolution; the sides differ in scale, so it was cropped'
 

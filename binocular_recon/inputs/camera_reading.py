@@ -48,8 +48,9 @@ def camera_of_image(
     try:
         Camera(*size, K, D, R, P, distortion_model)
     except CalibrationError as error:
-        if P.flat[0] > 0:
-            fault = f'{error}; the images are rectified, so only P is used'
+        if P.flat[0] > 0 and np.isfinite(P).all():
+            what, _, _ = str(error).partition(';')  # its remedy is of no use here
+            fault = f'{what}; the images are rectified, so only P is used'
         else:
             raise
     P = P.reshape(3, 4)

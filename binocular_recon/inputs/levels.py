@@ -28,8 +28,9 @@ _WHITE_FLOAT: tuple[tuple[float, float], ...] = ((1, 1), *_WHITE_16)
 _LARGEST = {white: largest for largest, white in _WHITE_FLOAT}
 # Floating-point images overshoot where they were interpolated: up to this multiple of white.
 _OVERSHOOT = 1.5
-# Brighter or darker pixels than these are ignored: hot ones and single damaged ones.
-_IGNORED_SHARE, _IGNORED_LEAST = 2e-5, 4
+# Brighter or darker pixels than these are ignored: hot ones and single damaged ones. More of them
+# are if the others lie in less than half of the range.
+_IGNORED_SHARE, _IGNORED_LEAST, _MORE_IGNORED = 2e-5, 4, 2e-4
 # At most so many samples of an image are looked at.
 _SAMPLES = 60_000
 # Levels that lie in less than this share of the range, farther from 0 than they are apart, are
@@ -200,11 +201,17 @@ def _joint_span(images: Any) -> _Span:
         values = values[np.isfinite(values)] if values.dtype.kind == 'f' else values[values > 0]
         if values.size == 0:
             continue
-        ignored = int(_IGNORED_SHARE * values.size) + _IGNORED_LEAST
-        ignored = min(ignored, (values.size - 1) // 100)
-        ends = np.partition(values, (ignored, values.size - 1 - ignored))
-        joint = _union(joint, _Span(float(ends[ignored]), float(ends[-1 - ignored])))
+        spans = [_span(values, share) for share in (_IGNORED_SHARE, _MORE_IGNORED)]
+        most, usual = (span.high - span.low for span in spans)
+        joint = _union(joint, spans[usual < most / 2])
     return joint
+
+
+def _span(values: npt.NDArray[Any], ignored_share: float) -> _Span:
+    ignored = int(ignored_share * values.size) + _IGNORED_LEAST
+    ignored = min(ignored, (values.size - 1) // 100)
+    ends = np.partition(values, (ignored, values.size - 1 - ignored))
+    return _Span(float(ends[ignored]), float(ends[-1 - ignored]))
 
 
 def _levels(span: _Span, kind: np.dtype[Any]) -> Levels:

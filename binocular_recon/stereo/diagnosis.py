@@ -8,28 +8,27 @@ import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
+from binocular_recon.inputs.image_faults import (
+    BLURRED,
+    SLIGHTLY_BLURRED,
+    faint,
+    image_fault,
+    interlaced,
+    less_sharp,
+    noise_alone,
+    partly_covered,
+)
 from binocular_recon.stereo.matching import Match
-from binocular_recon.stereo.row_check import MOST_ROWS_PX, RowOffset, measure_rows
+from binocular_recon.stereo.row_check import RowOffset, measure_rows, rows_apart
 from binocular_recon.stereo.search_range import EXCHANGED_SHARE, check_order, overview
 from binocular_recon.stereo.validity import FEW_MATCHED
 
 # A pair is examined in the first frame of a stream and then in every tenth.
 EXAMINE_EVERY = 10
-# Share of white pixels above which the exposure is too long.
-SATURATED_SHARE = 0.25
-# Grey levels between which all but 1 % of a covered lens lie.
-_COVERED_SPAN, _COVERED_MEAN = 8.0, 24.0
-# One image is less sharp, or has less contrast, by this factor.
-_BLURRED, _SLIGHTLY_BLURRED, _FAINT = 0.5, 0.65, 0.25
-# Rows next to each other differ by this much more than those two apart if fields were mixed.
-_INTERLACED = 1.25
-# Of the matches of features, this share and this many agree about how far rows are off.
-_AGREE_SHARE, _AGREE_LEAST, _AGREE_PX, _FEATURES = 0.4, 20, 1.5, 1500
 
 
 class Findings(NamedTuple):
@@ -149,30 +148,10 @@ def _examined(left: FloatImage, right: FloatImage, matched: Match) -> Findings:
     """Return what is wrong with a pair of which enough pixels are matched."""
     rows = measure_rows(left, right, matched.disparity_px)
     images = {'left': left, 'right': right}
-    blurred = _less_sharp(images, _SLIGHTLY_BLURRED if rows.warning else _BLURRED)
+    blurred = less_sharp(images, SLIGHTLY_BLURRED if rows.warning else BLURRED)
     # where one image is blurred, rows cannot be measured
-    texts = (blurred or rows.warning, _interlaced(images))
+    texts = (blurred or faint(images) or rows.warning, interlaced(images))
     return Findings(rows, tuple(filter(None, texts)))
-
-
-def image_fault(grey: FloatImage) -> str:
-    """Return why an image, (H, W) float32 grey levels, cannot be matched; '' if it can."""
-    missing, white = np.mean(np.isnan(grey)), np.mean(grey >= 255)
-    if missing > 0.999:
-        return 'has no data (NaN) in all its pixels'
-    low, high = np.nanquantile(grey[::4, ::4], [0.005, 0.995])
-    if np.nanmin(grey) == np.nanmax(grey):
-        return (
-            f'is uniform (grey level {np.nanmin(grey):.0f}); check the lens cap and the exposure'
-        )
-    if high - low < _COVERED_SPAN and high < _COVERED_MEAN:
-        return (
-            f'is dark: 99 % of its grey levels are {low:.1f} to {high:.1f} of 255; check the lens'
-            ' cap and the exposure'
-        )
-    if white > SATURATED_SHARE:
-        return f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
-    return ''
 
 
 def explain_few(
@@ -189,12 +168,12 @@ def explain_few(
     images = {'left': left, 'right': right}
     causes: tuple[Callable[[], str], ...] = (
         lambda: _turned(left, right, config, infinity_px or 0.0),
-        lambda: _rows_apart(left, right),
-        lambda: _interlaced(images),
-        lambda: _less_sharp(images, _BLURRED),
-        lambda: _less(
-            images, lambda i: float(np.nanstd(i)), _FAINT, 'has less contrast', 'set its exposure'
-        ),
+        lambda: rows_apart(left, right),
+        lambda: interlaced(images),
+        lambda: partly_covered(images),
+        lambda: noise_alone(images),
+        lambda: less_sharp(images, BLURRED),
+        lambda: faint(images),
     )
     return next((cause for find in causes if (cause := find())), '')
 
@@ -223,78 +202,3 @@ def _turned(left: FloatImage, right: FloatImage, config: MatchConfig, infinity_p
                     ' the other way round; turn it back in the driver, and calibrate with it so'
                 )
     return text
-
-
-def _rows_apart(left: FloatImage, right: FloatImage) -> str:
-    """Say that rows are off by more than matching bridges, from features anywhere."""
-    detector = cv2.ORB_create(nfeatures=_FEATURES)
-    (left_points, left_descriptors), (right_points, right_descriptors) = (
-        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
-    )
-    if left_descriptors is None or right_descriptors is None:
-        return ''
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        left_descriptors, right_descriptors
-    )
-    steps = np.array(
-        [right_points[p.trainIdx].pt[1] - left_points[p.queryIdx].pt[1] for p in pairs]
-    )
-    if steps.size < _AGREE_LEAST:
-        return ''
-    steps.sort()
-    # the offset that most matches share
-    counts = np.searchsorted(steps, steps + _AGREE_PX) - np.arange(steps.size)
-    first = int(counts.argmax())
-    agreeing = steps[first : first + counts[first]]
-    off_px = float(np.median(agreeing))
-    if len(agreeing) < max(_AGREE_LEAST, _AGREE_SHARE * steps.size) or abs(off_px) < MOST_ROWS_PX:
-        return ''
-    return (
-        f'rows of left and right differ by about {abs(off_px):.1f} px: the right image is'
-        f' {"lower" if off_px > 0 else "higher"} ({len(agreeing)} of {steps.size} features);'
-        ' rectify, or calibrate again'
-    )
-
-
-def _bytes(image: FloatImage) -> FloatImage:
-    known = np.nan_to_num(image, nan=float(np.nanmean(image)))
-    return np.asarray(cv2.normalize(known, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U))
-
-
-def _interlaced(images: dict[str, FloatImage]) -> str:
-    """Say that the odd rows of an image were taken at another time than the even ones."""
-    for side, grey in images.items():
-        near, far = (float(np.nanmean(np.abs(grey[k:] - grey[:-k]))) for k in (1, 2))
-        if near > _INTERLACED * far:
-            return (
-                f'the {side} image is interlaced: rows next to each other differ by {near:.1f}'
-                f' grey levels, those two apart by {far:.1f}; deinterlace it or use every second'
-                ' row'
-            )
-    return ''
-
-
-def _less_sharp(images: dict[str, FloatImage], least: float) -> str:
-    return _less(images, _sharpness, least, 'is less sharp', 'focus that camera, clean its lens')
-
-
-def _sharpness(image: FloatImage) -> float:
-    """Return the step between neighbours as a share of the contrast."""
-    steps = float(np.nanmean(np.abs(np.diff(image, axis=1))))
-    return steps / max(float(np.nanstd(image)), 1e-6)
-
-
-def _less(
-    images: dict[str, FloatImage],
-    measure: Callable[[FloatImage], float],
-    least: float,
-    what: str,
-    remedy: str,
-) -> str:
-    """Say that one image has much less of something than the other."""
-    values = {side: measure(image) for side, image in images.items()}
-    low, high = sorted(values, key=values.__getitem__)
-    share = values[low] / max(values[high], 1e-9)
-    if share >= least:
-        return ''
-    return f'the {low} image {what} than the {high} one, {share:.2f} times; {remedy}'

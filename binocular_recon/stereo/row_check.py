@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import cv2
@@ -20,6 +21,10 @@ _CELLS, LEAST_POINTS = (18, 12), 30
 _HALF, _SHIFT_X, _SHIFT_Y = 6, 2, 6
 # Least correlation of a match.
 _LEAST_SCORE = 0.8
+# Of the matches of features, this share and this many agree about how far rows are off.
+_AGREE_SHARE, _AGREE_LEAST, _AGREE_PX, _FEATURES = 0.4, 20, 1.5, 1500
+# A turn, degrees, or another scale explains them if this many times as many agree.
+_TURNS, _SCALES, _MORE_AGREE = np.arange(-15, 15.1, 0.25), np.arange(0.7, 1.41, 0.0025), 1.5
 
 
 class RowOffset(NamedTuple):
@@ -124,3 +129,76 @@ def _best_shift(scores: npt.NDArray[np.float32]) -> float | None:
     if curvature >= 0:
         return None
     return float(row) - _SHIFT_Y + (above - below) / (2 * curvature)
+
+
+def rows_apart(left: FloatImage, right: FloatImage) -> str:
+    """Say that rows are off by more than matching bridges, from features anywhere.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Grey levels; NaN = no data.
+
+    Returns
+    -------
+    str
+        By how far, or how the right image is turned or larger; empty if most features do not
+        agree about any of these.
+
+    """
+    detector = cv2.ORB_create(nfeatures=_FEATURES)
+    (left_points, left_descriptors), (right_points, right_descriptors) = (
+        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
+    )
+    if left_descriptors is None or right_descriptors is None:
+        return ''
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        left_descriptors, right_descriptors
+    )
+    if len(pairs) < _AGREE_LEAST:
+        return ''
+    middle = (np.array(left.shape[::-1]) - 1) / 2
+    rows = np.array([left_points[pair.queryIdx].pt[1] for pair in pairs]) - middle[1]
+    x, y = (np.array([right_points[pair.trainIdx].pt for pair in pairs]) - middle).T
+    agreeing, off_px = _shared(y - rows)
+    turned, turn_deg = _most_agreeing(
+        (float(turn), y * np.cos(np.radians(turn)) - x * np.sin(np.radians(turn)) - rows)
+        for turn in _TURNS
+    )
+    scaled, scale = _most_agreeing((float(scale), y / scale - rows) for scale in _SCALES)
+    text = ''
+    if agreeing >= _AGREE_SHARE * rows.size and abs(off_px) >= MOST_ROWS_PX:
+        text = (
+            f'rows of left and right differ by about {abs(off_px):.1f} px: the right image is'
+            f' {"lower" if off_px > 0 else "higher"}'
+        )
+    if turned > max(_MORE_AGREE * agreeing, scaled):
+        agreeing = turned
+        way = 'clockwise' if turn_deg > 0 else 'counter-clockwise'
+        text = f'the right image is turned by about {abs(turn_deg):.1f} degrees {way}'
+    elif scaled > _MORE_AGREE * agreeing:
+        agreeing = scaled
+        text = f'the right image shows everything {scale:.2f} times as large as the left one'
+    if not text or agreeing < max(_AGREE_LEAST, _AGREE_SHARE * rows.size):
+        return ''
+    return f'{text} ({agreeing} of {rows.size} features); rectify, or calibrate again'
+
+
+def _most_agreeing(
+    candidates: Iterable[tuple[float, npt.NDArray[np.float64]]],
+) -> tuple[int, float]:
+    """Return how many steps agree for the best of values and their steps, and that value."""
+    return max((_shared(steps)[0], value) for value, steps in candidates)
+
+
+def _shared(steps: npt.NDArray[np.float64]) -> tuple[int, float]:
+    """Return how many of the steps (n,) px agree, and their median."""
+    steps = np.sort(steps)
+    counts = np.searchsorted(steps, steps + _AGREE_PX) - np.arange(steps.size)
+    first = int(counts.argmax())
+    return int(counts[first]), float(np.median(steps[first : first + counts[first]]))
+
+
+def _bytes(image: FloatImage) -> FloatImage:
+    known = np.nan_to_num(image, nan=float(np.nanmean(image)))
+    return np.asarray(cv2.normalize(known, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U))

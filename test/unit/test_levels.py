@@ -106,6 +106,10 @@ def test_hot_pixels_do_not_count() -> None:
     image[::60, ::80] = 65535
     assert find_levels(image) == (0.0, 4080.0)
     assert to_grey(image).max() <= 255 + 127
+    counts = eight_bit().astype(np.uint16) * 2 + 7000
+    black, white = find_levels(counts)
+    counts.flat[np.random.default_rng(2).integers(0, counts.size, counts.size // 10_000)] = 16383
+    assert find_levels(counts) == pytest.approx((black, white), abs=80)
 
 
 def test_both_images_of_a_pair_have_one_white() -> None:

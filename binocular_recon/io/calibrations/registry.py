@@ -126,8 +126,10 @@ def _claims(
         try:
             found = next((one for one in FORMATS if one.claims(file)), None)
         except BinocularReconError as error:
-            errors.append((error, file))
-            continue
+            if not file.head or file.name.lower().endswith(_ENDINGS):
+                errors.append((error, file))
+                continue
+            found = None  # an image, a bag, ...: what is read matters more than where it fails
         if found is None:
             left_over.append(file)
         else:
@@ -140,10 +142,21 @@ def _found(files: Sequence[SourceFile]) -> str:
         return 'it: it has no file with an ending of these formats'
     texts = []
     for file in files[:3]:
-        content = file.content
+        try:
+            content = file.content
+        except BinocularReconError:
+            content = None
         if isinstance(content, dict) and content:
             keys = ', '.join(str(key)[:30] for key in list(content)[:6])
             texts.append(f'{file.name} (it has {keys})')
         else:
-            texts.append(file.name)
+            texts.append(file.name + _beginning(file.head))
     return ', '.join(texts) + (', ...' if len(files) > 3 else '')
+
+
+def _beginning(head: bytes) -> str:
+    lines = head.decode('utf-8', 'replace').replace('\t', ' ').splitlines()
+    first = next((line.strip() for line in lines if line.strip()), '')
+    if not first.isprintable() or '\ufffd' in first:
+        return ' (it is no text)'
+    return f' (it begins with {first[:40]!r})' if first else ''

@@ -7,6 +7,7 @@ import ast
 import gzip
 import io
 import json
+import re
 import zlib
 from collections.abc import Callable
 from functools import cached_property
@@ -148,6 +149,8 @@ def _check_parts(text: str) -> None:
 def _yaml(text: str) -> Any:
     if text.startswith('%YAML'):  # OpenCV writes %YAML:1.0, which is none
         text = text.partition('\n')[2]
+    text = text.replace('\t', ' ')  # YAML allows tabs, PyYAML does not
+    text = re.sub(r'\n---\s*\Z', '\n', text)  # `ros2 topic echo` ends every message so
     try:
         check_structure(text, aliases=True)
     except FileError as error:

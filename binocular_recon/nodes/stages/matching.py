@@ -18,6 +18,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage, mark_empty, to_grey
 from binocular_recon.images import Image as ImageArray
+from binocular_recon.inputs.image_faults import image_fault
 from binocular_recon.inputs.levels import Levels, LevelTracker
 from binocular_recon.inputs.options import ImageConfig
 from binocular_recon.io.messages.disparities import fill_disparity
@@ -26,7 +27,7 @@ from binocular_recon.nodes.runtime.endpoints import Output
 from binocular_recon.nodes.runtime.frame_node import FrameNode
 from binocular_recon.nodes.runtime.options import DepthBoundOptions, PresetOptions
 from binocular_recon.options import Options
-from binocular_recon.stereo.diagnosis import Findings, PairCheck, image_fault
+from binocular_recon.stereo.diagnosis import Findings, PairCheck
 from binocular_recon.stereo.matching import Match, disparity_step_px, match
 from binocular_recon.stereo.orientation import turn, turn_back, turned_colours
 from binocular_recon.stereo.range_tracker import RangeTracker

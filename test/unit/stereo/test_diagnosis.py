@@ -16,7 +16,8 @@ import pytest
 from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, to_grey
-from binocular_recon.stereo.diagnosis import EXAMINE_EVERY, PairCheck, explain_few, image_fault
+from binocular_recon.inputs.image_faults import image_fault
+from binocular_recon.stereo.diagnosis import EXAMINE_EVERY, PairCheck, explain_few
 from binocular_recon.stereo.matching import Match, match
 from binocular_recon.stereo.row_check import measure_rows
 from binocular_recon.stereo.validity import few_matched_warning
@@ -99,6 +100,12 @@ def every_second_row_moved(image: FloatImage) -> FloatImage:
     return fields
 
 
+def rotated(degrees: float, scale: float = 1.0) -> Change:
+    """Turn an image counter-clockwise about its middle, and enlarge it."""
+    matrix = cv2.getRotationMatrix2D((129.5, 89.5), degrees, scale)
+    return lambda image: moved(image, matrix.tolist())
+
+
 def dim_noise(image: FloatImage) -> FloatImage:
     noise = np.random.default_rng(4).normal(3, 1, image.shape)
     return np.rint(np.abs(noise)).astype(np.float32)
@@ -131,6 +138,23 @@ CAUSES: dict[str, tuple[Change, str]] = {
         lambda image: np.asarray(image / 8 + 100, np.float32),
         'the {} image has less contrast than the .* one, 0.1. times; set its exposure',
     ),
+    'dim': (
+        lambda image: np.asarray(image / 10 + dim_noise(image), np.float32),
+        'the {} image has less contrast than the .* one, 0.1. times; set its exposure',
+    ),
+    'noise': (
+        lambda image: np.asarray(40 + 9 * dim_noise(image), np.float32),
+        'the {} image is noise: neighbours differ by 1... times its contrast, in the .* by 0.[34].; check',
+    ),
+    'hooded': (
+        lambda image: np.where(np.arange(260) < 150, 5, image).astype(np.float32),
+        'the {} image is dark and even in 5.% of its area, the .* one in 0%: something covers',
+    ),
+    'leaning': (
+        rotated(-7),
+        'the right image is turned by about 7.. degrees {}clockwise',
+    ),
+    'enlarged': (rotated(0, 1.2), 'the right image shows everything {} times as large'),
     'fields': (every_second_row_moved, 'the {} image is interlaced: rows next to each other'),
 }
 
@@ -150,6 +174,10 @@ def test_the_cause_of_few_matches_is_said(cause: str, side: str) -> None:
             'right',
             text.rpartition(' ')[0] + (' higher' if text.endswith('lower') else ' lower'),
         )
+    if cause == 'leaning':
+        named = '' if side == 'right' else 'counter-'
+    if cause == 'enlarged':
+        named = r'1\.20' if side == 'right' else r'0\.8[34]'
     assert re.search(text.format(named), found), found
     if cause in {'turned', 'mirrored'}:
         assert f'the {side} image' in found
@@ -167,6 +195,7 @@ def test_a_good_pair_has_no_cause() -> None:
     [
         (lambda image: cv2.GaussianBlur(image, (0, 0), 2.5), 'the right image is less sharp than'),
         (every_second_row_moved, 'the right image is interlaced'),
+        (lambda image: image / 20 + dim_noise(image), 'the right image has less contrast than'),
     ],
 )
 def test_what_matches_worse_is_said_though_enough_matches(change: Change, text: str) -> None:

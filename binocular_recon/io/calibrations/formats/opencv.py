@@ -29,10 +29,13 @@ _REMEDY = (
 )
 # What matrices of camera # are called, in lower case without anything but letters and digits.
 _NAMES = {
-    'K': ('m#', 'k#', 'cameramatrix#', '#cameramatrix', 'intrinsicmatrix#', 'intrinsics#', '#k'),
+    'K': (
+        'm#', 'k#', 'cameramatrix#', '#cameramatrix', 'intrinsicmatrix#', 'intrinsics#', '#k',
+        'mtx#', '#mtx', 'cameramtx#', 'intrinsic#', '#intrinsic', '#intrinsics',
+    ),
     'D': (
         'd#', 'distcoeffs#', '#distcoeffs', 'distortioncoefficients#', '#distortioncoefficients',
-        'distortioncoeffs#', 'distcoeff#', 'dist#', 'distortion#', '#d',
+        'distortioncoeffs#', 'distcoeff#', 'dist#', 'distortion#', '#d', '#dist', '#distortion',
     ),
     'R': ('r#', 'rectificationmatrix#', 'rect#', '#r'),
     'P': ('p#', 'projectionmatrix#', 'proj#', '#p'),
@@ -155,9 +158,11 @@ def _without_pair(name: str, files: Sequence[SourceFile], names: _Names) -> RawR
     """Raise a CalibrationError about what is missing of cameras 1 and 2."""
     found = _first(names, _SINGLE)
     if found is None:
+        content = [name for name, _ in names.values()]
         raise CalibrationError(
             f'{files[0].path} holds the pose only; the cameras are missing (M1, D1, M2, D2 of'
-            f' intrinsics.yml): give both files'
+            f' intrinsics.yml) or have other names (it has {", ".join(content[:12])}): give'
+            ' both files, or name the matrices so'
         )
     where = str(files[0].path)
     K = numbers(found[1], f'{where}: {found[0]}', 9).reshape(3, 3)

@@ -24,6 +24,8 @@ _MATRICES = (
     'projection_matrix',
 )
 _SIZE = ('image_width', 'image_height')
+# The same in a CameraInfo as `ros2 topic echo` (and `rostopic echo`, in capitals) prints it.
+_MESSAGE = dict(zip('kdrp', _MATRICES, strict=True))
 
 
 class RosFormat(CalibrationFormat):
@@ -34,7 +36,7 @@ class RosFormat(CalibrationFormat):
 
     def claims(self, file: SourceFile) -> bool:
         """Return whether a file has the matrices of a camera info."""
-        return isinstance(file.content, dict) and set(_MATRICES) <= set(file.content)
+        return set(_MATRICES) <= set(_entries(file.content, file.path))
 
     def read(self, files: Sequence[SourceFile], choice: Choice) -> RawRig:
         """Read the cameras; each has the name of its file."""
@@ -55,7 +57,7 @@ def camera_values(
         If one is missing or has other values than numbers; the message begins with the path.
 
     """
-    entries = content if isinstance(content, dict) else {}
+    entries = _entries(content, path)
     missing = [name for name in (*_MATRICES, *_SIZE) if name not in entries]
     missing += [
         f'data of {name}'
@@ -78,6 +80,25 @@ def camera_values(
         for name, values in zip(_MATRICES, data, strict=True)
     )
     return size, K, D, R, P, model
+
+
+def _entries(content: Any, path: Path) -> dict[Any, Any]:
+    """Return the entries of a camera file, also of a CameraInfo that was printed."""
+    if not isinstance(content, dict):
+        return {}
+    members = {str(key).lower(): value for key, value in content.items()}
+    if 'camera_matrix' in content or not {*_MESSAGE, 'width', 'height'} <= set(members):
+        return content
+    region = members.get('roi')
+    cut = isinstance(region, dict) and region.get('width')
+    if cut or any(members.get(f'binning_{axis}') not in (None, 0, 1) for axis in 'xy'):
+        raise CalibrationError(
+            f'{path} states binning or a region of interest, which camera files have not; record'
+            ' the camera info with the images in a bag, or print it at full size'
+        )
+    matrices = {name: {'data': members[key]} for key, name in _MESSAGE.items()}
+    sizes = {name: members[name.removeprefix('image_')] for name in _SIZE}
+    return {**matrices, **sizes, 'distortion_model': members.get('distortion_model')}
 
 
 def _camera(file: SourceFile) -> RawCamera:

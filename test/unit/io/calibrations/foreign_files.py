@@ -113,6 +113,41 @@ def opencv_of_ros(
     return paths
 
 
+def opencv_of_a_tutorial(folder: Path) -> list[Path]:
+    """Write the names of a widespread tutorial."""
+    path = opencv_matrices(
+        folder / 'rig.yml', image_size=np.array(SIZE), mtxL=LEFT_K, distL=LEFT_D[None],
+        mtxR=RIGHT_K, distR=RIGHT_D[None], rot=R, R=R, T=T[:, None],
+    )  # fmt: skip
+    return [path]
+
+
+def ros_printed(
+    folder: Path, names: tuple[str, str] = ('left', 'right'), members: str = 'dkrp'
+) -> list[Path]:
+    """Write camera infos as `ros2 topic echo` prints them; `rostopic` has capitals."""
+    rig = true_rig()
+    paths = []
+    for name, camera in zip(names, (rig.left, rig.right), strict=True):
+        lines = ['header:', '  stamp: {sec: 1, nanosec: 2}', '  frame_id: cam', 'height: 480']
+        lines += [f'width: {SIZE[0]}', 'distortion_model: plumb_bob']
+        for member in members:
+            values = np.ravel(getattr(camera, member.upper()))
+            lines += [f'{member}:', *(f'- {float(value)!r}' for value in values)]
+        lines += ['binning_x: 0', 'binning_y: 0', 'roi:', '  width: 0', '  do_rectify: false']
+        paths.append(folder / f'{name}.yaml')
+        paths[-1].write_text('\n'.join([*lines, '---', '']))
+    return paths
+
+
+def tabbed(paths: list[Path]) -> list[Path]:
+    """Write tabs and comments where an editor left them."""
+    for path in paths:
+        text = '# the rig\n' + path.read_text()
+        path.write_text(text.replace(': ', ':\t').replace('\n', '\t# as calibrated\r\n'))
+    return paths
+
+
 def kalibr(
     folder: Path, change: Callable[[dict[str, Any]], object] = lambda _: None
 ) -> list[Path]:
@@ -307,6 +342,10 @@ WRITERS: dict[str, Callable[[Path], list[Path]]] = {
     'opencv sample, gzip': lambda folder: opencv_sample(folder, 'yml.gz', size=True),
     'opencv in one file': opencv_one_file,
     'opencv in one xml': lambda folder: opencv_one_file(folder, 'xml'),
+    'opencv as in a tutorial': opencv_of_a_tutorial,
+    'ros, printed': ros_printed,
+    'ros, printed by ros 1': lambda folder: ros_printed(folder, ('a', 'b'), 'DKRP'),
+    'kalibr with tabs': lambda folder: tabbed(kalibr(folder)),
     'ros by opencv': opencv_of_ros,
     'ros by opencv, other names': lambda folder: opencv_of_ros(folder, ('a', 'b')),
     'kalibr': kalibr,

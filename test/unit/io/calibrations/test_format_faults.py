@@ -32,6 +32,7 @@ from test.unit.io.calibrations.foreign_files import (
     opencv_one_file,
     opencv_sample,
     put,
+    ros_printed,
     true_rig,
 )
 
@@ -79,8 +80,15 @@ def test_faults_of_opencv(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match=r'one camera only \(a\)'):
         read_calibration(single[:1])
     pose()
-    with pytest.raises(CalibrationError, match='holds the pose only; the cameras are missing'):
+    with pytest.raises(CalibrationError, match=r'holds the pose only; .*\(it has R, T, R1, '):
         read_calibration([extrinsics.rename(tmp_path / 'pose.yml')])
+
+
+def test_binning_of_a_printed_camera_info_is_refused(tmp_path: Path) -> None:
+    paths = ros_printed(tmp_path)
+    paths[0].write_text(paths[0].read_text().replace('binning_y: 0', 'binning_y: 2'))
+    with pytest.raises(CalibrationError, match='states binning or a region of interest, which'):
+        read_rig(tmp_path)
 
 
 def test_older_and_other_notations_of_opencv(tmp_path: Path) -> None:

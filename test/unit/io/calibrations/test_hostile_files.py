@@ -41,7 +41,18 @@ BOMB = ''.join(
         ('key.yaml', '? [a]\n: 1\n', 'unhashable key'),
         ('notes.yaml', 'camera: mine\nfocal: 5', r'in notes\.yaml \(it has camera, focal\);'),
         ('empty.yaml', '', r'no calibration is found in empty\.yaml; ROS camera info .* are read'),
-        ('a.txt', 'hello', r'no calibration is found in a\.txt'),
+        ('a.txt', 'hello', r"no calibration is found in a\.txt \(it begins with 'hello'\);"),
+        (
+            'zed.conf',
+            '[LEFT_CAM_HD]\nfx=5',
+            r"zed\.conf \(it begins with '\[LEFT_CAM_HD\]'\); ROS",
+        ),
+        ('ost.ini', '# oST\n[image]\n\nwidth\n640', r"ost\.ini \(it begins with '# oST'\);"),
+        (
+            'K.npz',
+            'PK\x03\x04',
+            r'no calibration is found in K\.npz \(it is no text\); .* are read',
+        ),
     ],
 )
 def test_hostile_and_unknown_files(tmp_path: Path, name: str, text: str, message: str) -> None:
