@@ -46,10 +46,16 @@ def _windows(size: Size, rng: np.random.Generator) -> FloatImage:
     for y in range(int(rng.integers(0, down)), height, down):
         for x in range(int(rng.integers(0, right)), width, right):
             image[y : y + high, x : x + wide] = tone * rng.uniform(0.7, 1.3)
+    return _at_an_angle(image, rng, 0.06)
+
+
+def _at_an_angle(image: FloatImage, rng: np.random.Generator, share: float) -> FloatImage:
+    """Move the corners of an image by this share of its width."""
+    height, width = image.shape
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
-    seen = corners + rng.normal(0, 0.06 * width, (4, 2)).astype(np.float32)
+    seen = corners + rng.normal(0, share * width, (4, 2)).astype(np.float32)
     view = cv2.getPerspectiveTransform(corners, seen)
-    warped = cv2.warpPerspective(image, view, size, borderMode=cv2.BORDER_REPLICATE)
+    warped = cv2.warpPerspective(image, view, (width, height), borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped, np.float32)
 
 
@@ -95,5 +101,19 @@ def lookalike(kind: str, size: Size, seed: int) -> ByteImage:
     rng = np.random.default_rng([seed, LOOKALIKES.index(kind)])
     if kind not in _DRAWN:
         return expose(paint(kind, size, rng).astype(np.float32), Sensor(), rng)
-    grey = _DRAWN[kind](size, rng)
+    return photographed(_DRAWN[kind](size, rng), rng)
+
+
+def checks(size: Size, rng: np.random.Generator) -> FloatImage:
+    """Panels of a facade, light and dark by turns, seen at an angle."""
+    width, height = size
+    side = rng.uniform(8, 40)
+    rows, columns = np.mgrid[:height, :width]
+    high = side * rng.uniform(0.5, 3)
+    image = np.where((columns // side + rows // high) % 2, 220, 30).astype(np.float32)
+    return _at_an_angle(image, rng, 0.06)
+
+
+def photographed(grey: FloatImage, rng: np.random.Generator) -> ByteImage:
+    """Return grey levels (H, W) as a camera takes them, (H, W, 3)."""
     return expose(np.repeat(grey[..., None], 3, axis=2), Sensor(), rng)

@@ -3,23 +3,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from binocular_recon.calibration.detection._layout_kernels import BESIDE
+from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._search_kernels import search_line
-from binocular_recon.calibration.target.board_plane import lateral_limit_m
+from binocular_recon.calibration.target.board_plane import (
+    inside_image,
+    lateral_limit_m,
+    plane_marks,
+    predict_marks,
+)
+from binocular_recon.calibration.target.mark_types import PERIOD
 from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
-from binocular_recon.images import FloatImage
+from binocular_recon.images import FloatImage, Mask
 
 # Least agreement of the grey levels around a mark with those of the bands (1 = equal, 0 = no
 # edge).
 AGREEMENT = 0.45
 # Least number of marks of a rod: a single one may be a corner of something else.
 MIN_MARKS = 2
+# A pattern goes on beyond a board if it shows more than this share of what would be there.
+MOST_BEYOND = 0.5
 # Something in front of the rod may come this near to an edge, px.
 NEAR_RISE_PX = 2.0
 
@@ -99,6 +109,64 @@ def complete(
             continue
         completed[rod, new] = points[new]
     return completed
+
+
+def goes_on(image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined) -> bool:
+    """Return whether the pattern of a board goes on beyond its ends, as that of a facade does.
+
+    Real rods and rows end. One more rod at the same distance, or two more marks on most rods,
+    with the same levels and as sharp, are no chance.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Grey levels.
+    averaged : Averaged
+        The same, averaged.
+    board : RodBoard
+        Positions of rods and marks.
+    refined : Refined
+        The marks of the identified board.
+
+    """
+    width, height = image.shape[1], image.shape[0]
+    extended = _extended(board)
+    inner = np.s_[1:-1, PERIOD:-PERIOD]
+    known = np.full((extended.count, extended.marks_per_rod, 2), np.nan)
+    known[inner] = refined.marks_px
+    plane = plane_marks(extended, known, (width, height))
+    predicted = predict_marks(extended, known, plane)
+    more = complete(averaged, extended, known, predicted)
+    more[inner] = np.nan
+    if not np.isfinite(more).any():
+        return False
+    measured = refine(image, extended, more, predicted, plane, refined.levels)
+    found = np.isfinite(measured.marks_px[..., 0])
+    seen = inside_image(predicted, (width, height), averaged.width_px)
+    shares = [_share(seen[side, PERIOD:-PERIOD], found[side, PERIOD:-PERIOD]) for side in (0, -1)]
+    rods = np.flatnonzero(np.isfinite(refined.marks_px[..., 0]).sum(1) > MIN_MARKS) + 1
+    shares += [
+        _share(seen[rods, side].all(1), found[rods, side].all(1))
+        for side in (slice(PERIOD), slice(-PERIOD, None))
+    ]
+    return max(shares) > MOST_BEYOND
+
+
+def _extended(board: RodBoard) -> RodBoard:
+    """Return a board with one more rod to the left and right, `PERIOD` more marks up and down."""
+    row, heights = board.rods_xz_m, board.marks_m
+    apart = (row[-1] - row[0]) / max(board.count - 1, 1)
+    spacing = np.ptp(heights) / (heights.size - 1)
+    further = spacing * np.arange(1, PERIOD + 1)
+    marks = np.concatenate([heights[0] - further[::-1], heights, heights[-1] + further])
+    marks += PERIOD * spacing  # feet lower than the ground
+    rods = np.concatenate([row[:1] - apart, row, row[-1:] + apart])
+    return replace(board, rods_xz_m=rods, marks_m=marks)
+
+
+def _share(seen: Mask, found: Mask) -> float:
+    """Return the share of the places in view that show something; 0 of fewer than `MIN_MARKS`."""
+    return float(found[seen].mean()) if seen.sum() >= MIN_MARKS else 0.0
 
 
 def _levels(

@@ -12,7 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.calibration.detection._board_layout import Layout, identify
-from binocular_recon.calibration.detection._guided_search import MIN_MARKS, Averaged, complete
+from binocular_recon.calibration.detection._guided_search import (
+    MIN_MARKS,
+    Averaged,
+    complete,
+    goes_on,
+)
 from binocular_recon.calibration.detection._identity import scattered, settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._reversed_bands import explains_more, moved_readings
@@ -44,6 +49,12 @@ NOTHING = 'no board found; check that the rods are in view and that rods.yaml de
 AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
+)
+
+
+ENDLESS = (
+    'what looks like the board goes on beyond its ends, as a facade does; if these are the rods,'
+    ' list all that stand in the row, and all their marks, in rods.yaml'
 )
 
 
@@ -174,16 +185,18 @@ def _searches(
 
 def _measure_best(grey: FloatImage, board: RodBoard, tracks: list[Track]) -> _Measured | None:
     """Measure the most convincing layout of the tracks; None if there is none."""
+    endless = None
     for _ in range(MAX_LAYOUTS):
         layout = identify(tracks, board, (grey.shape[1], grey.shape[0]))
         if layout is None:
             break
         measured = _settle(grey, board, layout)
-        if measured is not None:
+        if measured is not None and ENDLESS not in measured.detection.messages:
             return measured
+        endless = endless or measured
         # regular clutter, such as a chessboard, looked more like the board: try without it
         tracks = [track for t, track in enumerate(tracks) if t not in layout.tracks]
-    return None
+    return endless
 
 
 def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | None:
@@ -200,6 +213,8 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | N
             marks, sigma = refined.marks_px, refined.sigma_px
             if board.count > 1 and scattered(board, marks, (image.shape[1], image.shape[0])):
                 return None
+            if board.count > 1 and goes_on(image, averaged, board, refined):
+                return _Measured(_nothing(board, ENDLESS), refined, image, averaged)
             detection = Detection(marks, sigma, describe_missing(marks))
             return _Measured(detection, refined, image, averaged)
         if identity is None:

@@ -19,7 +19,7 @@ from binocular_recon.errors import ImageError
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rods import paper_board, place_board
-from test.lookalikes import LOOKALIKES, lookalike
+from test.lookalikes import LOOKALIKES, checks, lookalike, photographed
 from test.rod_images import LEFT, RIG, board_of, image_of
 
 pytestmark = pytest.mark.long
@@ -174,6 +174,27 @@ def test_what_only_looks_like_rods_has_no_board(kind: str) -> None:
     detection = detect_rods(lookalike(kind, (320, 200), 1), paper_board())
     assert not detection.found.any()
     assert detection.messages
+
+
+@pytest.mark.parametrize(
+    ('rods', 'marks', 'distance_m'), [(7, 6, 8.0), (5, 10, 10.0)], ids=['row', 'rods']
+)
+def test_a_pattern_that_goes_on_is_no_board(rods: int, marks: int, distance_m: float) -> None:
+    """More rods, or more marks, than `rods.yaml` lists: which of them these are nothing tells."""
+    standing = board_of([0.6 * i for i in range(rods)], [0.3 * i for i in range(1, marks + 1)])
+    image, placed = image_of(standing, (0.0, 1.2, distance_m))
+    detection = detect_rods(image, paper_board())
+    assert not detection.found.any()
+    assert 'goes on beyond its ends, as a facade does; if these are the' in detection.messages[0]
+    whole = detect_rods(image, standing)
+    assert np.nanmax(np.abs(whole.marks_px - placed.marks_px(LEFT))) < 0.3
+
+
+def test_panels_of_a_facade_are_no_board() -> None:
+    """Twenty marks fit the board in these, and the pattern goes on to the left."""
+    rng = np.random.default_rng([0, 99, 0])
+    image = photographed(checks((400, 260), rng), rng)
+    assert not detect_rods(image, paper_board()).found.any()
 
 
 def test_trees_are_no_board(shared_data: Path) -> None:

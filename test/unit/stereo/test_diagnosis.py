@@ -144,7 +144,7 @@ CAUSES: dict[str, tuple[Change, str]] = {
     ),
     'noise': (
         lambda image: np.asarray(40 + 9 * dim_noise(image), np.float32),
-        'the {} image is noise: neighbours differ by 1... times its contrast, in the .* by 0.[34].; check',
+        'the {} image is noise: neighbours differ by 1... times its contrast, .* by 0.[34].; chec',
     ),
     'hooded': (
         lambda image: np.where(np.arange(260) < 150, 5, image).astype(np.float32),
