@@ -121,10 +121,14 @@ def test_of_a_rectified_image_only_p_counts() -> None:
         assert not camera.D.any()
         (notice,) = camera.notices
         assert notice.endswith('the images are rectified, so only P is used')
+        assert notice.count(';') == 1  # no remedy for what does no harm
         with pytest.raises(CalibrationError):
             camera_of_image((640, 480), K_given, D, 0 * K, P, model)
     fine = camera_of_image((640, 480), K, D8[:4], np.eye(3), P, 'radtan', rectified=True)
     assert fine.notices == ()
+    unknown = np.where(np.eye(3, 4, 2), np.nan, P)
+    with pytest.raises(CalibrationError, match='P holds values that are not finite'):
+        camera_of_image((640, 480), K, [], np.eye(3), unknown, '', rectified=True)
     with pytest.raises(CalibrationError, match='P is not that of a rectified camera'):
         camera_of_image((640, 480), K, [], np.eye(3), 0 * P, '', rectified=True)
 

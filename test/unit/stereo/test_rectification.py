@@ -322,7 +322,10 @@ def test_skew_of_the_raw_camera_counts(model: str) -> None:
 
 def test_images_of_another_size_say_the_scale() -> None:
     rectifier = Rectifier(make_rig()[0])
-    for size, text in (((400, 640), 'scale K and P by 2$'), ((400, 500), 'so it was cropped')):
+    for size, text in (
+        ((400, 640), 'scale K and P by 2; if they are those of this resolution, correct the size'),
+        ((400, 500), 'so it was cropped'),
+    ):
         image = np.zeros(size, np.uint8)
         with pytest.raises(ImageError, match=f'its calibration is for 320x200; .*{text}'):
             rectifier(image, image)
