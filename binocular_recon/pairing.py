@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-from binocular_recon.inputs.clocks import Mismatch, clock_offset, standing_still
+from binocular_recon.inputs.clocks import Mismatch, clock_offset, stamp_offset, standing_still
 from binocular_recon.inputs.queues import Entry, MessageQueue
 
 # So many equal stamps in a row are no repetition: the clock stands still.
@@ -174,8 +174,8 @@ class Synchronizer:
                 f' {"ahead" if found.offset_ns > 0 else "behind"}, a constant (spread'
                 f' {found.spread_ns / 1e6:.3f} ms)'
             )
-            offset_s = (self._offsets_ns[name] - found.offset_ns) / 1e9
-            return Mismatch(text, None if far else tolerance_s, offset_s)
+            offset_s = stamp_offset(found, self._offsets_ns[name], period_ns)
+            return Mismatch(text, None if far else tolerance_s, *offset_s)
         return Mismatch(text, tolerance_s)
 
     def _take_sets(self) -> list[tuple[Any, ...]]:

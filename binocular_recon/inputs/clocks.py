@@ -16,6 +16,8 @@ _LEAST_ARRIVALS = 4
 # Differences of stamps are constant if most lie this close to their median, as a share of the
 # frame period.
 _CONSTANT_SHARE = 0.1
+# Stamps are this many times their median deviation apart at most.
+_SPREADS = 6
 
 
 class Mismatch(NamedTuple):
@@ -30,12 +32,20 @@ class Mismatch(NamedTuple):
         that is half a frame period or more, because it would combine different moments.
     offset_s : float or None
         What to add to the stamps of the right camera, s, if the clocks differ by a constant.
+    offset_tolerance_s : float
+        The tolerance that single stamps need beside it, s; 0 if they are then equal.
 
     """
 
     text: str
     tolerance_s: float | None
     offset_s: float | None = None
+    offset_tolerance_s: float = 0.0
+
+    @property
+    def offset_text(self) -> str:
+        """The offset with as many decimals as it needs."""
+        return _offset_text(self.offset_s or 0.0)
 
 
 class ClockOffset(NamedTuple):
@@ -67,6 +77,27 @@ def clock_offset(leading: Sequence[Arrival], other: Sequence[Arrival]) -> ClockO
     if not steps or spread > _CONSTANT_SHARE * statistics.median(steps):
         return None
     return ClockOffset(offset, spread)
+
+
+def stamp_offset(
+    found: ClockOffset, present_ns: int, period_ns: int | None
+) -> tuple[float, float]:
+    """Return the offset (s) to set instead of the present one, and the tolerance (s) beside it.
+
+    A tolerance is needed where stamps scatter, or where the offset as it is written leaves a rest.
+    """
+    offset_ns = present_ns - found.offset_ns
+    written_ns = round(float(_offset_text(offset_ns / 1e9)) * 1e9)
+    needed_ns = abs(written_ns - offset_ns) + _SPREADS * found.spread_ns
+    tolerance_us = -(-needed_ns // 1000)
+    if period_ns is not None:  # from half a period on, different moments match
+        tolerance_us = min(tolerance_us, (period_ns // 2 - 1) // 1000)
+    return offset_ns / 1e9, tolerance_us / 1e6
+
+
+def _offset_text(offset_s: float) -> str:
+    short = f'{offset_s:.6f}'
+    return short if round(float(short) * 1e9) == round(offset_s * 1e9) else f'{offset_s:.9f}'
 
 
 def standing_still(name: str, stamp_ns: int) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 
@@ -57,6 +58,33 @@ def test_a_constant_is_measured_and_removes_the_mismatch(ahead_ms: int) -> None:
     assert (mismatch.tolerance_s is None) == (abs(ahead_ms) >= 50)
     mended = synchronizer_of(PairingOptions(stamp_offset=mismatch.offset_s))
     assert pair_up(mended, ahead_ms * MS) == [(k, k) for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    ('ahead_ns', 'spread_ns'),
+    [(60_123_456, 0), (1_700_000_000_123_456_789, 0), (30 * MS, MS), (-77_000_000_001, 2 * MS)],
+)
+def test_what_is_advised_pairs_clocks_of_any_constant(ahead_ns: int, spread_ns: int) -> None:
+    """Constants of fractions of a microsecond, and stamps that scatter."""
+    generator = random.Random(3)
+    lags = [ahead_ns + round(generator.gauss(0, spread_ns)) for _ in range(20)]
+
+    def pairs(options: PairingOptions, tolerance_s: float) -> tuple[list[Any], Any]:
+        synchronizer = synchronizer_of(options, round(tolerance_s * 1e9))
+        found: list[Any] = []
+        for k, lag in enumerate(lags):
+            found += synchronizer.add('left', k * PERIOD, k, k * PERIOD)
+            found += synchronizer.add('right', k * PERIOD + lag, k, k * PERIOD)
+        return found, synchronizer.explain()
+
+    found, mismatch = pairs(PairingOptions(), 0.0)
+    assert found == []
+    assert bool(mismatch.offset_tolerance_s) == (ahead_ns > 1e18 or spread_ns > 0)
+    assert mismatch.offset_tolerance_s <= max(2e-6, 8e-9 * spread_ns)
+    advised = PairingOptions(stamp_offset=float(mismatch.offset_text))
+    found, _ = pairs(advised, mismatch.offset_tolerance_s)
+    # the last one may wait for a nearer stamp
+    assert found[:19] == [(k, k) for k in range(19)]
 
 
 @pytest.mark.parametrize('ahead_ms', [0, 60, 3_600_000])

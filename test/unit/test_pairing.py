@@ -167,7 +167,7 @@ def test_by_how_much_stamps_miss() -> None:
         messages = [Message('left', 33 * k * MS), Message('right', 33 * k * MS + late)]
         assert feed(synchronizer, messages) == []
     text = 'stamps never match those of left: right is 3.200 ms later (nearest recent ones)'
-    assert synchronizer.explain() == (text, 0.003201, None)
+    assert synchronizer.explain() == (text, 0.003201, None, 0.0)
 
 
 def test_by_how_much_stamps_miss_a_tolerance() -> None:

@@ -146,7 +146,7 @@ def goes_on(image: FloatImage, averaged: Averaged, board: RodBoard, refined: Ref
     shares = [_share(seen[side, PERIOD:-PERIOD], found[side, PERIOD:-PERIOD]) for side in (0, -1)]
     rods = np.flatnonzero(np.isfinite(refined.marks_px[..., 0]).sum(1) > MIN_MARKS) + 1
     shares += [
-        _share(seen[rods, side].all(1), found[rods, side].all(1))
+        _share(np.atleast_1d(seen[rods, side].all(1)), np.atleast_1d(found[rods, side].all(1)))
         for side in (slice(PERIOD), slice(-PERIOD, None))
     ]
     return max(shares) > MOST_BEYOND

@@ -192,7 +192,12 @@ class StereoBag:
                 f'pair them with --approximate-sync-tolerance-seconds {mismatch.tolerance_s:g}'
             )
         if mismatch.offset_s is not None:
-            remedies.append(f'give --stamp-offset {mismatch.offset_s:.6f}')
+            beside = ''
+            if mismatch.offset_tolerance_s:
+                beside = (
+                    f' with --approximate-sync-tolerance-seconds {mismatch.offset_tolerance_s:.6f}'
+                )
+            remedies.append(f'give --stamp-offset {mismatch.offset_text}{beside}')
             remedies.append('--pairing arrival if a hardware trigger took them')
         if not remedies:
             remedies.append(

@@ -9,9 +9,15 @@ from binocular_recon.inputs.clocks import Mismatch
 def remedy(missing: Mismatch, tolerance_ns: int | None) -> str:
     """Return the parameters to set so that stamps match, by the tolerance in use."""
     if missing.offset_s is not None:
+        beside = ''
+        if missing.offset_tolerance_s * 1e9 > (tolerance_ns or 0):
+            beside = (
+                ' with approximate_sync and approximate_sync_tolerance_seconds of'
+                f' {missing.offset_tolerance_s:.6f}'
+            )
         exact = (
-            f'set stamp_offset to {missing.offset_s:.6f}, or pairing to arrival if a hardware'
-            ' trigger takes them together'
+            f'set stamp_offset to {missing.offset_text}{beside}, or pairing to arrival if a'
+            ' hardware trigger takes them together'
         )
         if missing.tolerance_s is None:
             return exact

@@ -168,6 +168,10 @@ def test_the_remedy_for_a_constant_is_a_parameter() -> None:
 
     text = remedy(Mismatch('', None, -0.06), 0)
     assert text.startswith('set stamp_offset to -0.060000, or pairing to arrival')
+    text = remedy(Mismatch('', None, -0.06, 0.012), 10_000_000)
+    assert (
+        '-0.060000 with approximate_sync and approximate_sync_tolerance_seconds of 0.012' in text
+    )
     text = remedy(Mismatch('', 0.03, -0.03), 0)
     assert 'at least 0.030000, or set stamp_offset to -0.030000' in text
 
