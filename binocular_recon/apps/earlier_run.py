@@ -15,6 +15,7 @@ from typing import Any
 
 from binocular_recon.apps.summary_entries import RIG_ENTRY, SUMMARY, read_summary
 from binocular_recon.errors import FileError
+from binocular_recon.io.files import open_file
 
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
@@ -96,7 +97,7 @@ def joint_fingerprint(files: list[Path]) -> str:
 
 def _digest(path: Path) -> str:
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             size = file.seek(0, 2)
             file.seek(0)
             content = file.read(_END)

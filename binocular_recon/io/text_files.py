@@ -18,6 +18,7 @@ import numpy.typing as npt
 import yaml
 
 from binocular_recon.errors import BinocularReconError, FileError, shortened
+from binocular_recon.io.files import open_file
 
 # The files of a calibration have 10 to 100 kB.
 LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
@@ -49,12 +50,8 @@ def read_bytes(path: Path, remedy: str, largest: int) -> bytes:
 
     """
     try:
-        if path.exists() and not path.is_file():
-            raise FileError(f'{path} is not a file; {remedy}')
-        with path.open('rb') as file:
+        with open_file(path) as file:
             data = file.read(largest + 1)
-    except FileError:
-        raise
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror or error}; {remedy}') from error
     except ValueError as error:  # a path with a null character

@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.io.files import open_file
 from binocular_recon.io.text_files import (
     LARGEST_YAML,
     check_size,
@@ -89,12 +90,10 @@ class SourceFile:
     def head(self) -> bytes:
         """First kilobytes of the file as they are; empty if it cannot be read."""
         try:
-            if self.path.is_file():
-                with self.path.open('rb') as file:
-                    return file.read(4096)
+            with open_file(self.path) as file:
+                return file.read(4096)
         except OSError:
-            pass
-        return b''
+            return b''
 
     @cached_property
     def content(self) -> Any:
