@@ -15,7 +15,7 @@ from typing import Any
 
 from binocular_recon.apps.summary_entries import RIG_ENTRY, SUMMARY, read_summary
 from binocular_recon.errors import FileError
-from binocular_recon.io.files import open_file
+from binocular_recon.io.text_files import open_file
 
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')

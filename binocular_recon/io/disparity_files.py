@@ -11,9 +11,9 @@ import numpy as np
 from binocular_recon.errors import FileError, shortened
 from binocular_recon.images import FloatImage
 from binocular_recon.io.disparity_png import disparity_from_steps, read_disparity_png
-from binocular_recon.io.files import open_file
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.io.text_files import open_file
 
 # How npy files and archives of them begin.
 _NPY, _ZIP = b'\x93NUMPY', b'PK'

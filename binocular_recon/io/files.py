@@ -16,7 +16,6 @@ import re
 import secrets
 import shutil
 import signal
-import stat
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -41,18 +40,6 @@ def make_folder(path: Path) -> None:
         raise FileError(
             f'folder {path} cannot be made: {_reason(error)}; choose another folder'
         ) from error
-
-
-def open_file(path: Path) -> BinaryIO:
-    """Open a file for reading.
-
-    What is none, such as a pipe or a device, may never end, and raises an OSError.
-    """
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe is not waited for
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.EINVAL, 'it is not a file')
-    return os.fdopen(handle, 'rb')
 
 
 def check_apart(output: Path, folder: Path) -> None:
@@ -289,18 +276,14 @@ def flush(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8; bytes of foreign names that are none are written out.
-
-    Raises a FileError if the file cannot be written.
-    """
+    """Write a text in UTF-8, what is none written out; raises as `complete_file`."""
     with complete_file(path) as file:
         file.write(text.encode(errors='backslashreplace'))
 
 
 def write_json(path: Path, value: object) -> None:
     """Write ``value`` as indented JSON; raises a FileError if the file cannot be written."""
-    with complete_file(path) as file:
-        file.write(json.dumps(value, indent=2, allow_nan=False).encode() + b'\n')
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + '\n')
 
 
 def _failure(folder: Path, error: OSError) -> FileError:

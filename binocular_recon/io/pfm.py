@@ -12,7 +12,8 @@ import numpy as np
 
 from binocular_recon.errors import FileError
 from binocular_recon.images import FloatImage
-from binocular_recon.io.files import complete_file, open_file
+from binocular_recon.io.files import complete_file
+from binocular_recon.io.text_files import open_file
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
 # Longest header line accepted, bytes: a file that is not a PFM is not searched for a line end.

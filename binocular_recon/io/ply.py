@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon.errors import FileError, shortened
-from binocular_recon.io.files import complete_file, open_file
+from binocular_recon.io.files import complete_file
+from binocular_recon.io.text_files import open_file
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.stereo.triangulation import Cloud
 

@@ -7,18 +7,20 @@ largest size, a largest depth and, in YAML, no aliases, which could stand for an
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import stat
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
 from binocular_recon.errors import BinocularReconError, FileError, shortened
-from binocular_recon.io.files import open_file
 
 # The files of a calibration have 10 to 100 kB.
 LARGEST_YAML, _LARGEST_JSON = 1_000_000, 5_000_000
@@ -29,6 +31,18 @@ _MOST_VALUES = 30_000
 _MOST_JSON_VALUES = 3_000_000
 # Longer numbers take the time of their square.
 _LONGEST_NUMBER = 100
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file for reading.
+
+    What is none, such as a pipe or a device, may never end, and raises an OSError.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe is not waited for
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, 'it is not a file')
+    return os.fdopen(handle, 'rb')
 
 
 def read_bytes(path: Path, remedy: str, largest: int) -> bytes:

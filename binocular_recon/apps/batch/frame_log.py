@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.apps.summary_entries import LARGEST
-from binocular_recon.io.files import complete_file, naming_errors, open_file
+from binocular_recon.io.files import complete_file, naming_errors
+from binocular_recon.io.text_files import open_file
 
 NAME = 'frames.jsonl'
 

@@ -17,12 +17,12 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
-from binocular_recon.io.files import open_file
 from binocular_recon.io.text_files import (
     LARGEST_YAML,
     check_size,
     check_structure,
     decoded,
+    open_file,
     read_bytes,
 )
 

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from binocular_recon.errors import FileError, ImageError
 from binocular_recon.images import Image
-from binocular_recon.io.files import open_file
 from binocular_recon.io.image_headers import MOST_PIXELS
+from binocular_recon.io.text_files import open_file
 from binocular_recon.machine import optional_package
 
 _NS = 1_000_000_000

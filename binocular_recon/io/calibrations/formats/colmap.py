@@ -26,7 +26,7 @@ from binocular_recon.io.calibrations.values import (
     pose_of,
     side_of,
 )
-from binocular_recon.io.files import open_file
+from binocular_recon.io.text_files import open_file
 
 # Lens, and where its parameters are, of each model: focal lengths, then the coefficients of D in
 # the order of the lens; cx and cy follow the focal lengths.
@@ -174,8 +174,8 @@ def _images(path: Path) -> Iterator[_Image]:
                     length += len(more)
                     if length > MOST_BYTES:
                         raise CalibrationError(
-                            f'{path}: line {number} has more than {MOST_BYTES >> 20} MiB; the file'
-                            ' is damaged, export it again'
+                            f'{path}: line {number} has more than {MOST_BYTES / 1e6:g} MB; the'
+                            ' file is damaged, export it again'
                         )
                 if line.startswith('#'):
                     continue
