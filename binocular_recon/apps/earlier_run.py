@@ -15,6 +15,7 @@ from typing import Any
 
 from binocular_recon.apps.summary_entries import RIG_ENTRY, SUMMARY, read_summary
 from binocular_recon.errors import FileError
+from binocular_recon.io.text_files import open_file
 
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
@@ -77,13 +78,16 @@ def state_digest(summary: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(state, sort_keys=True).encode()).hexdigest()
 
 
-def fingerprint(path: Path) -> dict[str, str]:
+def fingerprint(path: Path, inside: str = '*') -> dict[str, str]:
     """Return size and a digest of both ends of each file of a recording or calibration, by name.
 
-    Reading all of a recording would take as long as reconstructing some of it.
+    Reading all of a recording would take as long as reconstructing some of it. Of a folder the
+    files are those that the pattern ``inside`` fits.
     """
-    files = sorted(one for one in path.rglob('*') if one.is_file()) if path.is_dir() else [path]
-    return {one.name: _digest(one) for one in files}
+    if not path.is_dir():
+        return {path.name: _digest(path)}
+    files = sorted(one for one in path.glob(inside) if one.is_file())
+    return {one.relative_to(path).as_posix(): _digest(one) for one in files}
 
 
 def joint_fingerprint(files: list[Path]) -> str:
@@ -96,7 +100,7 @@ def joint_fingerprint(files: list[Path]) -> str:
 
 def _digest(path: Path) -> str:
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             size = file.seek(0, 2)
             file.seek(0)
             content = file.read(_END)

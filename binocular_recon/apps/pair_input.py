@@ -129,6 +129,6 @@ class PairInput:
         facts: dict[str, Any] = dataclasses.asdict(self)
         facts['far_m'] = self.far_m if math.isfinite(self.far_m) else None
         if self.calibration is not None:
-            facts['calibration'] = fingerprint(self.calibration)
+            facts['calibration'] = fingerprint(self.calibration, '**/*')
             facts['calibrated_in'] = str(self.calibration)
         return facts

@@ -28,7 +28,7 @@ STATIONS = 'stations.json'
 _SIDES, _MATRICES = ('left', 'right'), ('K', 'D', 'R', 'P')
 _RIGHT_SIZE = 'right_image_size'
 # A recording of 100 000 frames has 60 MB.
-_LARGEST = 100_000_000
+LARGEST = 100_000_000
 # What readers take for granted, if it is there.
 _KINDS = {
     'left_out': list,
@@ -155,7 +155,7 @@ def read_summary(folder: Path, remedy: str) -> dict[str, Any]:
             f'{folder} holds the cloud of several stations, without images and disparities; give'
             f' the output folder of one station ({STATIONS} lists them)'
         )
-    content = read_json(path, remedy, _LARGEST)
+    content = read_json(path, remedy, LARGEST)
     frames = content.get('frames') if isinstance(content, dict) else None
     if not isinstance(content, dict) or not isinstance(frames, list):
         raise FileError(f'{path} is not the summary of frames; {remedy}')

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
+from typing import NoReturn
 
 from binocular_recon import __version__
 from binocular_recon.apps.signals import (
@@ -112,6 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     program = f'{PROGRAM} {command}' if command in COMMANDS else PROGRAM
     try:
         if of_process:
+            _write_out_what_cannot_be_encoded()
             leave_on_signals(lambda terminated: leave(_say_interrupted(program, terminated)))
         args = _parser(argv).parse_args(argv)  # imports the command
         if of_process:
@@ -130,6 +133,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     if of_process:
         leave(status)
     return status
+
+
+def _write_out_what_cannot_be_encoded() -> None:
+    """Write out characters that the encoding of a terminal or pipe does not have."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='backslashreplace')
+
+
+class _Parser(argparse.ArgumentParser):
+    """Prints names that were given without control characters."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(plain_text(message))
 
 
 def _say_interrupted(program: str, terminated: bool, kept: str = '') -> int:
@@ -183,7 +200,7 @@ def command_module(name: str) -> ModuleType:
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser; of all commands, only the one named in ``argv`` has its arguments."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=PROGRAM,
         description='Accurate 3-D point clouds of large scenes from a long-baseline stereo rig.',
         allow_abbrev=False,

@@ -156,6 +156,11 @@ def option_flags(args: argparse.Namespace) -> list[str]:
     return flags
 
 
+def say(text: object = '') -> None:
+    """Print a result, on stdout; names in it without control characters."""
+    print(plain_text(str(text)), flush=True)
+
+
 def note(text: str) -> None:
     """Print something that is not the result, on stderr."""
     print(plain_text(text), file=sys.stderr)

@@ -13,6 +13,7 @@ from binocular_recon.images import FloatImage
 from binocular_recon.io.disparity_png import disparity_from_steps, read_disparity_png
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.io.text_files import open_file
 
 # How npy files and archives of them begin.
 _NPY, _ZIP = b'\x93NUMPY', b'PK'
@@ -39,8 +40,6 @@ def read_disparity_file(path: Path) -> FloatImage:
         If the file cannot be read, is damaged or is not a disparity map.
 
     """
-    if path.exists() and not path.is_file():
-        raise FileError(f'{path} is not a file; give a disparity map ({", ".join(READERS)})')
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise FileError(
@@ -62,7 +61,7 @@ def _read_tiff(path: Path) -> FloatImage:
 
 def _read_npy(path: Path) -> FloatImage:
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             magic = file.read(len(_NPY))
         if magic.startswith(_ZIP):
             raise FileError(f'{path} holds several arrays (npz); save the disparity alone as npy')

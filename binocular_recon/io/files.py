@@ -275,10 +275,15 @@ def flush(path: Path) -> None:
         os.close(handle)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8, what is none written out; raises as `complete_file`."""
+    with complete_file(path) as file:
+        file.write(text.encode(errors='backslashreplace'))
+
+
 def write_json(path: Path, value: object) -> None:
     """Write ``value`` as indented JSON; raises a FileError if the file cannot be written."""
-    with complete_file(path) as file:
-        file.write(json.dumps(value, indent=2, allow_nan=False).encode() + b'\n')
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + '\n')
 
 
 def _failure(folder: Path, error: OSError) -> FileError:

@@ -19,7 +19,7 @@ from binocular_recon.io.native_lines import native_lines_held
 from binocular_recon.io.text_files import read_bytes
 
 # Of the largest image, not compressed, with its header.
-_LARGEST = MOST_BYTES + (1 << 20)
+LARGEST_FILE = MOST_BYTES + (1 << 20)
 
 
 def read_image_file(path: Path) -> Image:
@@ -41,7 +41,7 @@ def read_image_file(path: Path) -> Image:
         If the file cannot be read or is not an image.
 
     """
-    data = read_bytes(path, 'give a PNG, JPEG or TIFF file', _LARGEST)
+    data = read_bytes(path, 'give a PNG, JPEG or TIFF file', LARGEST_FILE)
     try:
         return decoded_image(data, str(path))
     except ImageError as error:

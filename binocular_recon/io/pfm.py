@@ -13,6 +13,7 @@ import numpy as np
 from binocular_recon.errors import FileError
 from binocular_recon.images import FloatImage
 from binocular_recon.io.files import complete_file
+from binocular_recon.io.text_files import open_file
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 
 # Longest header line accepted, bytes: a file that is not a PFM is not searched for a line end.
@@ -69,7 +70,7 @@ def read_pfm(path: Path, rows: slice = slice(None)) -> FloatImage:
 
     """
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             width, height, byte_order = _read_header(path, file)
             # a header may promise any size: nothing is allocated that the file does not hold
             begin = file.tell()

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from binocular_recon.errors import FileError, shortened
 from binocular_recon.io.files import complete_file
+from binocular_recon.io.text_files import open_file
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.stereo.triangulation import Cloud
 
@@ -191,7 +192,7 @@ class StoredVertices:
         begin, end, _ = part.indices(self.count)
         offset = self.offset + begin * self.dtype.itemsize
         try:
-            with self.path.open('rb') as file:
+            with open_file(self.path) as file:
                 file.seek(offset)
                 data = file.read((end - begin) * self.dtype.itemsize)
             return np.frombuffer(data, self.dtype, end - begin)
@@ -209,7 +210,7 @@ def read_ply(path: Path) -> tuple[StoredVertices, list[str]]:
 
     """
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             head, end, _ = file.read(_HEADER_LIMIT).partition(b'end_header\n')
         lines = head.decode('ascii', errors='replace').splitlines()
         comments = [line.removeprefix('comment ') for line in lines if line.startswith('comment ')]

@@ -7,11 +7,14 @@ largest size, a largest depth and, in YAML, no aliases, which could stand for an
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import stat
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +31,18 @@ _MOST_VALUES = 30_000
 _MOST_JSON_VALUES = 3_000_000
 # Longer numbers take the time of their square.
 _LONGEST_NUMBER = 100
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file for reading.
+
+    What is none, such as a pipe or a device, may never end, and raises an OSError.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe is not waited for
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, 'it is not a file')
+    return os.fdopen(handle, 'rb')
 
 
 def read_bytes(path: Path, remedy: str, largest: int) -> bytes:
@@ -49,12 +64,8 @@ def read_bytes(path: Path, remedy: str, largest: int) -> bytes:
 
     """
     try:
-        if path.exists() and not path.is_file():
-            raise FileError(f'{path} is not a file; {remedy}')
-        with path.open('rb') as file:
+        with open_file(path) as file:
             data = file.read(largest + 1)
-    except FileError:
-        raise
     except OSError as error:
         raise FileError(f'{path} cannot be read: {error.strerror or error}; {remedy}') from error
     except ValueError as error:  # a path with a null character

@@ -22,6 +22,7 @@ from binocular_recon.cli.main import main
 from binocular_recon.errors import ImageError
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import write_rig
+from binocular_recon.io.pairs.stereo_video import VideoPair
 from binocular_recon.io.pairs.video import Video, VideoFrame
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.rotations import rotation
@@ -333,6 +334,32 @@ def test_videos_that_are_broken_or_do_not_fit(
         assert said in capsys.readouterr().err
         if frames:
             assert frames_of(output) == frames
+
+
+@pytest.mark.timeout(60)
+def test_videos_that_are_playlists_pipes_or_bombs(
+    calibration: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    right = write_video(tmp_path / 'right.mkv', [pair[1] for pair in PAIRS])
+    (tmp_path / 'itself.mp4').write_text('ffconcat version 1.0\nfile itself.mp4\n')
+    (tmp_path / 'list.avi').write_text('#EXTM3U\n#EXTINF:1.0,\nright.mkv\n#EXT-X-ENDLIST\n')
+    os.mkfifo(tmp_path / 'pipe.mkv')
+    for name in ('itself.mp4', 'list.avi', 'pipe.mkv'):
+        assert run(calibration, tmp_path / 'out', str(tmp_path / name), right) == 1
+        assert f'{name} cannot be read' in capsys.readouterr().err
+    large = write_video(tmp_path / 'large.mkv', [np.zeros((2048, 2048, 3), np.uint8)])
+    with Video(Path(large)) as video, Video(Path(right)) as other:
+        (frame,) = video.frames()
+        pair = VideoPair(0, rig(), ('large #0', 'right #0'), (frame, next(other.frames())))
+        with pytest.raises(ImageError, match='large #0 is 2048x2048 px, its calibration is for'):
+            pair.images()
+    monkeypatch.setattr('binocular_recon.io.pairs.video.MOST_PIXELS', 2048 * 2047)
+    with Video(Path(large)) as video:
+        assert list(video.frames()) == []
+        assert 'large.mkv cannot be decoded' in video.damage[0]
 
 
 def test_frames_of_16_bits_keep_them_and_damaged_ones_are_refused(tmp_path: Path) -> None:

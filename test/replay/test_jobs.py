@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from binocular_recon.apps.batch.local_processes import LocalProcesses
+from binocular_recon.apps.batch.worker import READY
 from test.bag_tools import stereo_records, write_bag
 from test.frame_results import contents
 from test.replay.reconstruction import RANGE, reconstruct, runs
@@ -58,3 +60,19 @@ def test_all_processes_end_with_the_command_and_another_number_of_them_continues
     assert reconstruct(bag, output) == 0
     assert reconstruct(bag, tmp_path / 'alone') == 0
     assert contents(output) == contents(tmp_path / 'alone')
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason='Python cannot be told so')
+def test_processes_import_nothing_from_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ('_multiprocessing', 'multiprocessing', 'numpy'):
+        (tmp_path / f'{name}.py').write_text(f"open('{tmp_path}/ran', 'w')")
+    monkeypatch.chdir(tmp_path)
+    before = dict(os.environ)
+    processes = LocalProcesses(1)
+    (process,) = processes._all
+    assert process._connection.recv() == READY
+    processes.close()
+    assert not (tmp_path / 'ran').exists()
+    assert dict(os.environ) == before

@@ -16,7 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binocular_recon.apps.earlier_run import fingerprint
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
+from binocular_recon.calibration.session.calibration_files import save_rig
+from binocular_recon.io.calibration_yaml import write_rig
 from binocular_recon.io.files import ClaimedFolder
 from binocular_recon.io.messages.images import fill_image
 from test.bag_tools import (
@@ -217,6 +220,30 @@ def test_another_recording_or_a_missing_file_is_noticed(
     (output / '000000.ply').unlink()
     assert reconstruct(bag, output) == 1
     assert '000000.ply is missing' in capsys.readouterr().err
+
+
+def test_a_calibration_that_was_changed_is_noticed(tmp_path: Path) -> None:
+    """Also where folders in its folder hold files of the same name."""
+    folder = tmp_path / 'rig'
+    save_rig(rig(80.0), folder)
+    save_rig(rig(81.0), folder)
+    before = fingerprint(folder, '**/*')
+    assert set(before) == {
+        f'{place}{side}.yaml' for place in ('', 'previous/') for side in ('left', 'right')
+    }
+    assert before['left.yaml'] != before['previous/left.yaml']
+    write_rig(folder, rig(82.0))
+    changed = {name for name, text in fingerprint(folder, '**/*').items() if text != before[name]}
+    assert changed == {'left.yaml', 'right.yaml'}
+
+
+def test_results_in_the_folder_of_the_bag_are_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = write_bag(tmp_path / 'bag', stereo_records(4))
+    interrupted_run(bag, bag / 'results', monkeypatch)
+    assert reconstruct(bag, bag / 'results') == 0
+    assert len(contents(bag / 'results')['summary']['frames']) == 4
 
 
 def test_a_summary_that_is_none_or_was_changed_is_not_continued(

@@ -7,7 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from binocular_recon.apps.summary_entries import LARGEST
 from binocular_recon.io.files import complete_file, naming_errors
+from binocular_recon.io.text_files import open_file
 
 NAME = 'frames.jsonl'
 
@@ -41,7 +43,8 @@ class FrameLog:
         if count:
             with naming_errors(self._path):
                 if self._path.exists():
-                    lines = self._path.read_bytes().splitlines(keepends=True)[:count]
+                    with open_file(self._path) as file:
+                        lines = file.read(LARGEST).splitlines(keepends=True)[:count]
         if len(lines) < count:
             lines = [_line(entry) for entry in self._earlier]
         with complete_file(self._path) as file:

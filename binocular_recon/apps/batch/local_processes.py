@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,6 +24,7 @@ from binocular_recon.errors import BinocularReconError, ConfigError
 # Not forked: the threads of kernels would be missing.
 _SPAWN = multiprocessing.get_context('spawn')
 _MIB = 1 << 20
+_SAFE_PATH = 'PYTHONSAFEPATH'
 # So many processes in a row that die before they work: none will.
 _MOST_UNSTARTED = 4
 # How long the status of a dead process may be unknown, s.
@@ -123,6 +126,20 @@ class LocalProcesses:
             return self._all[-1]
 
 
+@contextlib.contextmanager
+def _only_installed_modules() -> Iterator[None]:
+    """Let processes that start, from Python 3.11, not look for modules in the current folder."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = '1'
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
+
+
 class _DiedError(FrameFailedError):
     """The process that computed a frame has died."""
 
@@ -134,7 +151,8 @@ class _Process:
         self._connection, end = _SPAWN.Pipe()
         self._process = _SPAWN.Process(target=serve, args=(end, threads), daemon=True)
         self.ready = False
-        self._process.start()
+        with _only_installed_modules():
+            self._process.start()
         end.close()
 
     @property

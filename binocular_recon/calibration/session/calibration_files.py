@@ -17,12 +17,12 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.errors import FileError
 from binocular_recon.io.calibration_yaml import PENDING, locked, write_rig
 from binocular_recon.io.files import (
-    complete_file,
     flush,
     make_folder,
     part_folder,
     remove_abandoned,
     write_json,
+    write_text,
 )
 
 FILES = ('left.yaml', 'right.yaml', 'calibration.json', 'report.html')
@@ -66,9 +66,8 @@ def save_calibration(
     def write(partial: Path) -> None:
         write_rig(partial, result.rig, names)
         write_json(partial / 'calibration.json', {'date': result.date, **result.to_mapping()})
-        with complete_file(partial / 'report.html') as file:
-            images = draw_boards(result, captures) if captures else ()
-            file.write(render_report(result, images, result.date).encode())
+        images = draw_boards(result, captures) if captures else ()
+        write_text(partial / 'report.html', render_report(result, images, result.date))
 
     _replace(folder, write)
     return tuple(folder / name for name in FILES)

@@ -14,6 +14,7 @@ from binocular_recon.cli.options import (
     note,
     option_flags,
     positive,
+    say,
 )
 from binocular_recon.errors import ConfigError
 from binocular_recon.io.shared_files import shared_file
@@ -70,9 +71,9 @@ def run(args: argparse.Namespace) -> None:
     bags = shared_file('bags/motorcycle').parent
     source = BagInput(bag=bags / 'motorcycle')
     config = chain_config(args)
-    print('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
-    print(reconstruct_pairs(source, output, args.preset, config, formats=['drawing'], report=note))
-    print(_accuracy(output, bags / 'motorcycle_truth' / 'disparity.png'))
+    say('Middlebury scene Motorcycle: depth 2.0 to 4.6 m, focal length 999 px, baseline 0.193 m')
+    say(reconstruct_pairs(source, output, args.preset, config, formats=['drawing'], report=note))
+    say(_accuracy(output, bags / 'motorcycle_truth' / 'disparity.png'))
     for name, content in {
         '000000.ply': 'point cloud with colour and sigma_z, for CloudCompare, MeshLab or Open3D',
         '000000_validity.png': 'which pixels are measured, and why the others are not',
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> None:
         '000000_disparity.png': 'disparity as a heat map; the .pfm file holds the numbers',
         'summary.json': 'depth range, accuracy, options, calibration and versions',
     }.items():
-        print(f'  {output / name}: {content}')
+        say(f'  {output / name}: {content}')
 
 
 def _accuracy(output: Path, truth: Path) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import names
+from binocular_recon.cli.options import names, say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> None:
 
     tie = args.folder / 'georeference.json'
     placement = read_placement(tie) if args.georeference and tie.exists() else None
-    print(export(args.folder, args.output or args.folder / 'export', args.format, placement))
+    say(export(args.folder, args.output or args.folder / 'export', args.format, placement))

@@ -8,7 +8,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binocular_recon.cli.options import add_chain_options, beside, chain_config
+from binocular_recon.cli.options import add_chain_options, beside, chain_config, say
 from binocular_recon.config import ChainConfig, MatchConfig
 from binocular_recon.errors import ConfigError, ImageError
 
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> None:
     if args.heat_map:
         write_image_file(args.heat_map, heat_map_with_scale(found.disparity_px, 'px'))
     given = float(np.isfinite(disparity_px).mean())
-    print(
+    say(
         f'{args.output}: {given:.1%} of the pixels had a disparity, {matched.matched_share:.1%}'
         f' passed the checks, {np.isfinite(found.disparity_px).mean():.1%} have one now; median'
         f' sigma {np.nanmedian(found.sigma_px):.2f} px'

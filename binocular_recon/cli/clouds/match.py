@@ -8,7 +8,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binocular_recon.cli.options import add_chain_options, beside, chain_config, note
+from binocular_recon.cli.options import add_chain_options, beside, chain_config, note, say
 from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ConfigError, ImageError
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     write_image_file(beside(args.output, '_validity.png'), filtered.validity)
     matched = found.matched.matched_share
     low, median, high = np.nanquantile(disparity_px, [0, 0.5, 1])
-    print(
+    say(
         f'{args.output}: {matched:.1%} of the pixels'
         f' measured, {np.isfinite(disparity_px).mean():.1%} with a disparity; {low:.1f} to'
         f' {high:.1f} px (median {median:.1f} px) of {found.range.search.min_disparity} to'

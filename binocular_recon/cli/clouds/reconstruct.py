@@ -17,6 +17,7 @@ from binocular_recon.cli.options import (
     names,
     note,
     positive,
+    say,
 )
 from binocular_recon.errors import ConfigError
 from binocular_recon.inputs.options import PairingOptions
@@ -172,7 +173,7 @@ def run(args: argparse.Namespace) -> None:
     _check_input_options(args)
     formats = [*args.format, *(['drawing'] if args.drawings else [])]
     config = chain_config(args)
-    print(
+    say(
         reconstruct_pairs(
             source,
             args.output,

@@ -12,7 +12,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import NO_ROS, add_comparison_options, positive, ximgproc_note
+from binocular_recon.cli.options import (
+    NO_ROS,
+    add_comparison_options,
+    positive,
+    say,
+    ximgproc_note,
+)
 from binocular_recon.errors import BinocularReconError
 from binocular_recon.evaluation import peers
 from binocular_recon.evaluation.speed.benchmark import (
@@ -112,7 +118,7 @@ def run(args: argparse.Namespace) -> None:
         results = benchmark(contents, sizes, args.presets, args.repeat, bar.show)
     tables = [*_stage_tables(results), *_other_tables(results, contents, sizes)]
     notes = [] if peers.has_ximgproc() else [NO_XIMGPROC]
-    print('\n\n'.join([*tables, *notes]))
+    say('\n\n'.join([*tables, *notes]))
     facts = {'machine': machine_facts(), 'repeat': args.repeat, 'presets': args.presets}
     write_json(args.output / 'benchmark.json', to_plain({**facts, 'results': results}))
 
@@ -133,7 +139,7 @@ def _run_live(args: argparse.Namespace, sizes: Sequence[Size]) -> None:
             )
             found = measure(size, options, functools.partial(bar.show, number))
             results += found
-            print('\n\n'.join(_live_tables(found)) + '\n', flush=True)
+            say('\n\n'.join(_live_tables(found)) + '\n')
             facts = {'machine': machine_facts(), 'rate_hz': args.rate, 'seconds': args.seconds}
             write_json(args.output / 'live.json', to_plain({**facts, 'results': results}))
 

@@ -14,6 +14,7 @@ from binocular_recon.cli.options import (
     given_options,
     names,
     positive,
+    say,
     ximgproc_note,
 )
 from binocular_recon.errors import ConfigError
@@ -42,7 +43,7 @@ from binocular_recon.evaluation.accuracy.scoring import (
     evaluate_scene,
 )
 from binocular_recon.evaluation.tables import to_plain
-from binocular_recon.io.files import complete_file, make_folder, write_json
+from binocular_recon.io.files import make_folder, write_json, write_text
 from binocular_recon.machine import machine_facts
 
 HOW_MEASURED = (
@@ -176,7 +177,7 @@ def _evaluate(
 
 def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) -> None:
     notes, tables = _notes(evaluated, scene_count), _tables(evaluated)
-    print('\n\n'.join([*tables, *notes]))
+    say('\n\n'.join([*tables, *notes]))
     failures = {name: str(error) for name, error in evaluated.failures.errors.items()}
     facts = {
         'machine': machine_facts(),
@@ -192,8 +193,7 @@ def _report(args: argparse.Namespace, evaluated: Evaluated, scene_count: int) ->
     write_json(args.output / 'evaluation.json', to_plain(facts))
     ours = [score.method for score in evaluated.scenes[0].scores if score.ours]
     page = report.page('Evaluation', notes, tables, evaluated.sections, ours)
-    with complete_file(args.output / 'evaluation.html') as file:
-        file.write(page.encode())
+    write_text(args.output / 'evaluation.html', page)
 
 
 def _methods(args: argparse.Namespace) -> list[Method]:

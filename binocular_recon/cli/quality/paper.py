@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from binocular_recon.apps.progress import ProgressBar
-from binocular_recon.cli.options import add_output_option, non_negative, positive
+from binocular_recon.cli.options import add_output_option, non_negative, positive, say
 from binocular_recon.errors import CalibrationError
 from binocular_recon.evaluation.paper import sigmas
 from binocular_recon.evaluation.paper.drawing import draw_crop, draw_sizes
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     if args.sigmas:
         _compare_sigmas(args.output, seeds)
-        print(f'\n{args.output}/sigmas.json ({time.monotonic() - start:.0f} s)')
+        say(f'\n{args.output}/sigmas.json ({time.monotonic() - start:.0f} s)')
         return
     rig = survey_rig(pitch_rad=TABLE_1_PITCH_RAD)
     runs: list[PaperRun] = []
@@ -93,8 +93,8 @@ def run(args: argparse.Namespace) -> None:
             raise KeyboardInterrupt(kept) from None
     if not runs:
         raise CalibrationError(f'no site could be measured; {_failures(failed)}')
-    print(_text(runs, failed))
-    print(f'\n{args.output}/paper.json, tables.md, sizes.jpg, crop.jpg'
+    say(_text(runs, failed))
+    say(f'\n{args.output}/paper.json, tables.md, sizes.jpg, crop.jpg'
           f' ({time.monotonic() - start:.0f} s)')  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def _compare_sigmas(folder: Path, seeds: Sequence[int]) -> None:
             done.append(site)
             write_json(folder / 'sigmas.json', to_plain({'sites': done}))
             bar.show(len(done))
-    print(sigmas.report(done))
+    say(sigmas.report(done))
 
 
 def facts(runs: Sequence[PaperRun], failed: Sequence[FailedRun] = ()) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from binocular_recon.calibration.target.rods import RodBoard, load_rods, save_rods
-from binocular_recon.cli.options import add_output_option, non_negative, positive
+from binocular_recon.cli.options import add_output_option, non_negative, positive, say
 from binocular_recon.errors import FileError
 from binocular_recon.evaluation.calibration.detection import score_capture, summarise_scores
 from binocular_recon.images import ByteImage
@@ -138,7 +138,7 @@ def _rods(args: argparse.Namespace) -> None:
             rng = np.random.default_rng([args.seed, index])
             options = CaptureOptions() if args.clean else mixed_options(rng, photographs)
             yield simulate_capture(board, rig, rng, options)
-            print(f'board {index + 1} of {args.boards}', flush=True)
+            say(f'board {index + 1} of {args.boards}')
 
     if args.evaluate:
         _evaluate(board, captures(), args.output)
@@ -157,7 +157,7 @@ def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Pat
     figures = summarise_scores([score_capture(board, capture) for capture in captures])
     write_json(output / 'detection.json', figures)
     rms, seconds = figures['rms_px'], figures['seconds_per_image']
-    print(
+    say(
         f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark visible in'
         f' both images; {figures["wrong_identities"]} wrong identities; error'
         f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
@@ -176,7 +176,7 @@ def _scene(args: argparse.Namespace) -> None:
         for frame in range(args.frames):
             left, right = (render_scene(scene, view, Sensor(), rng) for view in rig.views())
             write_pair(writer, rectified, (left, right), frame * FRAME_NS)
-            print(f'frame {frame + 1} of {args.frames}', flush=True)
+            say(f'frame {frame + 1} of {args.frames}')
     write_image_file(args.output / 'left.png', left)
     write_image_file(args.output / 'right.png', right)
     write_pfm(args.output / 'disparity.pfm', true_disparity(scene, rectified))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from binocular_recon.cli.options import note, preset_names
+from binocular_recon.cli.options import note, preset_names, say
 from binocular_recon.config import PRESETS
 from binocular_recon.errors import FileError
 
@@ -38,4 +38,4 @@ def run(args: argparse.Namespace) -> None:
     compile_all(args.presets, lambda part: note(f'{part}: ready'))
     if cache_problem():
         raise FileError(cache_problem())
-    print(f'kernels ready after {time.monotonic() - begun_s:.0f} s; later starts load them')
+    say(f'kernels ready after {time.monotonic() - begun_s:.0f} s; later starts load them')

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -24,8 +23,8 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.rods import RodBoard, load_rods
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import StereoRig
-from binocular_recon.cli.options import add_output_option, image_size, positive
-from binocular_recon.errors import CalibrationError, ConfigError, plain_text
+from binocular_recon.cli.options import add_output_option, image_size, positive, say
+from binocular_recon.errors import CalibrationError, ConfigError
 from binocular_recon.evaluation.calibration.self_check import self_check
 from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.calibration_yaml import read_rig
@@ -107,10 +106,9 @@ def run(args: argparse.Namespace) -> None:
     _check(args)
     if args.self_check:
         make_folder(args.output)
-        report = functools.partial(print, flush=True)
-        rows, seconds = _timed(lambda: self_check(args.sets, args.draws, report))
+        rows, seconds = _timed(lambda: self_check(args.sets, args.draws, say))
         write_json(args.output / 'self_check.json', rows)
-        print(f'{args.output / "self_check.json"} ({seconds:.0f} s)')
+        say(f'{args.output / "self_check.json"} ({seconds:.0f} s)')
         return
     read_marks = _read_points if args.points else _detect_marks
     if args.check:
@@ -128,10 +126,10 @@ def run(args: argparse.Namespace) -> None:
         )
     )
     files, save_s = _timed(lambda: save_calibration(result, args.output, captures=args.captures))
-    print(plain_text(summary(result)))
-    print(', '.join(str(path) for path in files))
+    say(summary(result))
+    say(', '.join(str(path) for path in files))
     peak = peak_bytes()
-    print(
+    say(
         f'{len(captures) + len(rejected)} boards in {marks_s + solve_s + save_s:.1f} s: marks'
         f' {marks_s:.1f} s, calibration {solve_s:.1f} s, report {save_s:.1f} s'
         + (f'; at most {peak / 1e6:.0f} MB of memory' if peak else '')
@@ -202,13 +200,13 @@ def _check_holding(rig: StereoRig, marks: _Marks, output: Path | None) -> None:
     """
     holding = check_holding(rig, marks.captures, marks.target, marks.sizes.left, marks.sizes.right)
     for board in (*marks.rejected, *holding.left_out):
-        print(f'left out: {board.name}: {board.reason}')
-    print(f'{holding.boards} boards, {holding.marks} marks: {holding}')
+        say(f'left out: {board.name}: {board.reason}')
+    say(f'{holding.boards} boards, {holding.marks} marks: {holding}')
     odd = {board.name for board in holding.left_out}
     kept = [capture for capture in marks.captures if capture.name not in odd]
     distances = check_distances(rig, kept, marks.target)
     for distance in distances:
-        print(plain_text(str(distance)))
+        say(distance)
     faults = [*holding.faults, *(str(one) for one in distances if not one.passed)]
     if output:
         make_folder(output)
@@ -220,13 +218,13 @@ def _check_holding(rig: StereoRig, marks: _Marks, output: Path | None) -> None:
             'faults': faults,
         }
         write_json(output / CHECK_FILE, content)
-        print(output / CHECK_FILE)
+        say(output / CHECK_FILE)
     if faults:
         raise CalibrationError(
             f'the calibration does not hold: {"; ".join(faults)}; check the heights of the'
             ' marks in the description of the target, else calibrate again'
         )
-    print('the calibration holds')
+    say('the calibration holds')
 
 
 def _detect_marks(args: argparse.Namespace) -> _Marks:
@@ -245,14 +243,12 @@ def _detect_marks(args: argparse.Namespace) -> _Marks:
 def _read_points(args: argparse.Namespace) -> _Marks:
     table = read_points(args.points)
     for reason in table.left_out[:_MOST_NAMED]:
-        print(plain_text(f'left out: {reason}'))
+        say(f'left out: {reason}')
     if len(table.left_out) > _MOST_NAMED:
-        print(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
+        say(f'left out: {len(table.left_out) - _MOST_NAMED} more rows')
     if args.image_size is None:
         size = right_size = table.least_size
-        print(
-            'image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size)
-        )
+        say('image size assumed to be {}x{} px; give --image-size WxH if it is not'.format(*size))
     else:
         size = image_size(args.image_size)
         right_size = image_size(args.right_image_size) if args.right_image_size else size

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binocular_recon.cli.options import add_output_option, image_size, names, note, positive
+from binocular_recon.cli.options import add_output_option, image_size, names, note, positive, say
 from binocular_recon.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
         note(text)
     for text in found.rig.warnings:
         note(f'warning: {text}')
-    print(f'{args.output}: {_sentence(found)}')
+    say(f'{args.output}: {_sentence(found)}')
 
 
 def _sentence(found: ImportedRig) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from binocular_recon.cli.options import say
 from binocular_recon.errors import ConfigError
 
 _FORMATS = ('.pdf', '.svg')
@@ -48,4 +49,4 @@ def run(args: argparse.Namespace) -> None:
     pdf = args.output.suffix == '.pdf'
     with complete_file(args.output) as file:
         file.write(sheet.pdf() if pdf else sheet.svg().encode())
-    print(f'{args.output}: {sheet.title}; print at 100 %, and check the bar with a rule')
+    say(f'{args.output}: {sheet.title}; print at 100 %, and check the bar with a rule')

@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import add_pick_sigma_option, names, non_negative, positive
-from binocular_recon.errors import ConfigError, MeasurementError, plain_text
+from binocular_recon.cli.options import add_pick_sigma_option, names, non_negative, positive, say
+from binocular_recon.errors import ConfigError, MeasurementError
 from binocular_recon.measurement.picks import Pick, read_picks
 from binocular_recon.measurement.site.control_points import (
     CONTROL_SIGMA_M,
@@ -92,8 +92,8 @@ def run(args: argparse.Namespace) -> None:
             free_scale=args.free_scale,
             pick_sigma_px=args.pick_sigma,
         )
-    print(plain_text(text))
-    print(args.folder / TIE_FILE)
+    say(text)
+    say(args.folder / TIE_FILE)
 
 
 def _control(args: argparse.Namespace, picks: dict[str, Pick]) -> list[ControlPoint]:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import add_output_option, add_pick_sigma_option, note
-from binocular_recon.errors import MeasurementError, plain_text
+from binocular_recon.cli.options import add_output_option, add_pick_sigma_option, note, say
+from binocular_recon.errors import MeasurementError
 from binocular_recon.measurement.kinds import KINDS
 from binocular_recon.measurement.picks import Request, read_picks, write_picks
 
@@ -69,8 +69,8 @@ def run(args: argparse.Namespace) -> None:
         output = args.output or args.folder
         paths = write_measurements(folder, output, session, found)
         write_picks(output / 'picks.csv', picks)
-        print(plain_text(table(found)))
-        print(', '.join(str(path) for path in [*paths, output / 'picks.csv']))
+        say(table(found))
+        say(', '.join(str(path) for path in [*paths, output / 'picks.csv']))
         if folder.rig(found[0].frame).covariance is None:
             note(_WITHOUT_COVARIANCE)
     if problems:

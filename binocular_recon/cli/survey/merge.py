@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from binocular_recon.cli.options import add_output_option, names, note, positive
+from binocular_recon.cli.options import add_output_option, names, note, positive, say
 
 VOXEL_SIZE_M = 0.02
 
@@ -59,6 +59,6 @@ def run(args: argparse.Namespace) -> None:
 
     folders = [MeasuredFolder(folder) for folder in args.folders]
     if len(folders) == 1:
-        print(merge_over_time(folders[0], args.output, formats=args.format, report=note))
+        say(merge_over_time(folders[0], args.output, formats=args.format, report=note))
         return
-    print(merge_stations(folders, args.output, args.voxel_size, formats=args.format, report=note))
+    say(merge_stations(folders, args.output, args.voxel_size, formats=args.format, report=note))

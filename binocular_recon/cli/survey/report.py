@@ -7,7 +7,7 @@ import argparse
 from datetime import date
 from pathlib import Path
 
-from binocular_recon.cli.options import non_negative, positive
+from binocular_recon.cli.options import non_negative, positive, say
 
 _MB = 1_000_000
 
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> None:
         most_bytes=round(_MB * args.max_size),
     )
     path = write_report(args.folder, details, args.output)
-    print(f'{path}, {path.stat().st_size / _MB:.1f} MB')
+    say(f'{path}, {path.stat().st_size / _MB:.1f} MB')
 
 
 def _day(words: str) -> str:

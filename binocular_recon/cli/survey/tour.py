@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from binocular_recon.cli.main import PROGRAM, run_command
-from binocular_recon.cli.options import note
+from binocular_recon.cli.options import note, say
 from binocular_recon.errors import DependencyError, MeasurementError
 from binocular_recon.machine import now_text
 from binocular_recon.number_text import fixed
@@ -47,7 +47,7 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
     from binocular_recon.io.calibration_yaml import read_rig
 
     begun = time.monotonic()
-    print(f'A simulated site with {boards} boards of rods; files in {output}', flush=True)
+    say(f'A simulated site with {boards} boards of rods; files in {output}')
     site = simulate_survey(output, seed=SEED, boards=boards, size=size, report=note)
     rods, rig, out = output / 'rods.yaml', output / 'rig', output / 'cloud'
     _run('rods-plan', rods, '--output', output / 'rods.svg')
@@ -63,19 +63,19 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
     try:
         _run('export', out, '--format', 'laz')
     except DependencyError as error:
-        print(f'LAZ is left out: {error}')
+        say(f'LAZ is left out: {error}')
     _run('report', out, '--site', 'Simulated yard', '--client', 'nobody', '--author',
          f'{PROGRAM} demo --survey', '--date', now_text()[:10])  # fmt: skip
-    print()
+    say()
     compared = compare(site, out)
-    print(f'{"":>26} {"true m":>12} {"measured m":>12} {"sigma m":>8} {"off / sigma":>12}')
+    say(f'{"":>26} {"true m":>12} {"measured m":>12} {"sigma m":>8} {"off / sigma":>12}')
     for one in compared:
-        print(
+        say(
             f'{one.name:>26} {fixed(one.true, 3):>12} {fixed(one.measured, 3):>12}'
             f' {fixed(one.sigma, 3):>8} {one.off_sigmas:>+12.1f}'
         )
     worst = max(compared, key=lambda one: abs(one.off_sigmas))
-    print(f'{len(compared)} values, the survey took {time.monotonic() - begun:.0f} s')
+    say(f'{len(compared)} values, the survey took {time.monotonic() - begun:.0f} s')
     if abs(worst.off_sigmas) > _MOST_SIGMAS:
         raise MeasurementError(
             f'{worst.name} is {worst.measured:.3f} m, {worst.off_sigmas:+.1f} sigma from the truth'
@@ -86,7 +86,7 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
 def _run(*words: object) -> None:
     """Print a command as a user would give it, and run it."""
     argv = [str(word) for word in words]
-    print(f'\n$ {PROGRAM} {shlex.join(argv)}', flush=True)
+    say(f'\n$ {PROGRAM} {shlex.join(argv)}')
     run_command(argv)
 
 
@@ -101,5 +101,5 @@ def _map() -> tuple[float, list[str]]:
     try:
         return reference_system(EPSG, PLACE_M).scale, ['--epsg', str(EPSG)]
     except DependencyError as error:
-        print(f'\nthe reference system is left out: {error}')
+        say(f'\nthe reference system is left out: {error}')
         return 1.0, []

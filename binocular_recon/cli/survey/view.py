@@ -9,7 +9,7 @@ import threading
 import webbrowser
 from pathlib import Path
 
-from binocular_recon.cli.options import add_pick_sigma_option, non_negative, note, positive
+from binocular_recon.cli.options import add_pick_sigma_option, non_negative, note, positive, say
 from binocular_recon.viewer.coloured_frame import MOST_POINTS
 
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
     view = SharedView(MeasuredFolder(args.folder), board, args.pick_sigma, args.max_points)
     server = PageServer(view, args.port)
     try:
-        print(server.address, flush=True)
+        say(server.address)
         note('Ctrl-C ends it; the page is served to this machine only')
         # without a screen, a browser would be one of the terminal
         if not args.no_browser and {'DISPLAY', 'WAYLAND_DISPLAY'} & set(os.environ):

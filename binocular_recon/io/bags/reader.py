@@ -191,14 +191,15 @@ class Bag(AbstractContextManager['Bag']):
             return []
         try:
             content = read_yaml(metadata, 'its files are read')['rosbag2_bagfile_information']
-            files = [self.path / PurePath(name).name for name in content['relative_file_paths']]
+            names = [PurePath(name).name for name in content['relative_file_paths']]
+            files = [self.path / name for name in dict.fromkeys(names)]
         except Exception as error:  # noqa: BLE001 - damaged data raise errors of any type
             self.note(f'{metadata} is damaged ({error}); all files in its folder are read')
             return []
         missing = [path.name for path in files if not path.exists()]
         if missing:
-            names = ', '.join(missing)
-            self.note(f'{metadata} lists missing files: {names}; all files in its folder are read')
+            lost = ', '.join(missing)
+            self.note(f'{metadata} lists missing files: {lost}; all files in its folder are read')
             return []
         return files
 

@@ -23,6 +23,7 @@ from binocular_recon.io.text_files import (
     check_size,
     check_structure,
     decoded,
+    open_file,
     read_bytes,
 )
 
@@ -90,12 +91,10 @@ class SourceFile:
     def head(self) -> bytes:
         """First kilobytes of the file as they are; empty if it cannot be read."""
         try:
-            if self.path.is_file():
-                with self.path.open('rb') as file:
-                    return file.read(4096)
+            with open_file(self.path) as file:
+                return file.read(4096)
         except OSError:
-            pass
-        return b''
+            return b''
 
     @cached_property
     def content(self) -> Any:

@@ -55,6 +55,12 @@ def write_e57(path: Path, table: PointTable) -> None:
     with complete_files(path.parent) as parts:
         part = parts / path.name
         try:
+            str(part).encode()
+        except UnicodeEncodeError:
+            raise FileError(
+                f'{path} cannot be written: E57 needs a path in UTF-8; choose another folder'
+            ) from None
+        try:
             with closing(lib.ImageFile(str(part), 'w')) as file:
                 _Scan(lib, file, table).write()
         except lib.E57Exception as error:

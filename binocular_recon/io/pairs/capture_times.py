@@ -26,6 +26,8 @@ def capture_time_ns(path: Path) -> int | None:
 
     A time without an offset from UTC counts as UTC: it is compared with that of another camera.
     """
+    if not path.is_file():  # a pipe may never end
+        return None
     try:
         with path.open('rb') as file:
             block = _exif(file.read(_HEAD))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import re
 from pathlib import Path
 
@@ -13,6 +14,9 @@ _IMAGES = re.compile(r'\.(png|jpe?g|jpe|tiff?|bmp|dib|webp|jp2|j2k|p[bgpn]m|pfm)
 _VIDEOS = re.compile(
     r'\.(mp4|m4v|mov|mkv|webm|avi|wmv|mpe?g|m?ts|m2ts|flv|ogv|mjpeg|h26[45]|hevc)', re.IGNORECASE
 )
+
+# What a pattern fits may be without end: folders with links to themselves.
+_MOST_NAMES = 200_000
 
 
 def is_video(text: str) -> bool:
@@ -57,7 +61,13 @@ def find_files(text: str, side: str) -> list[Path]:
         found = [path]
     else:
         # Path.glob takes no absolute patterns
-        names = glob.glob(text, recursive=True)  # noqa: PTH207
+        matches = glob.iglob(text, recursive=True)  # noqa: PTH207
+        names = list(itertools.islice(matches, _MOST_NAMES + 1))
+        if len(names) > _MOST_NAMES:
+            raise FileError(
+                f'{text}: more than {_MOST_NAMES} names fit the pattern, perhaps by links that'
+                ' lead back; give the folder itself'
+            )
         found = [one for one in map(Path, names) if one.is_file()]
         if not found:
             reason = (

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from binocular_recon.camera import Camera, StereoRig
-from binocular_recon.errors import ImageError
+from binocular_recon.errors import FileError, ImageError
 from binocular_recon.images import Image
-from binocular_recon.io.image_files import decoded_image
+from binocular_recon.io.image_files import LARGEST_FILE, decoded_image
 from binocular_recon.io.pairs.file_pairs import FilePair, FilePairs
+from binocular_recon.io.text_files import read_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,9 @@ class FileFrame:
 
 def _read(path: Path, camera: Camera) -> Image:
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ImageError(f'{path} cannot be read: {error.strerror}; check the disk') from error
+        data = read_bytes(path, 'check the disk', LARGEST_FILE)
+    except FileError as error:
+        raise ImageError(str(error)) from error
     return decoded_image(data, str(path), camera.size)
 
 

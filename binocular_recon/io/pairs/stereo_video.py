@@ -49,12 +49,13 @@ class VideoPair:
 
         Raises an ImageError if one is damaged or has another size than its calibration.
         """
+        for frame, name in zip(self.frames, self.names, strict=False):
+            size = frame.content.width * len(self.frames) // 2, frame.content.height
+            check_image_size(size, self.rig.left.size, name)  # before it is converted
         found = [frame.image(name) for frame, name in zip(self.frames, self.names, strict=False)]
         if len(found) == 1:
             half = found[0].shape[1] // 2
             found = [found[0][:, :half].copy(), found[0][:, half:].copy()]
-        for image, name in zip(found, self.names, strict=True):
-            check_image_size((image.shape[1], image.shape[0]), self.rig.left.size, name)
         return found[0], found[1]
 
 

@@ -11,11 +11,17 @@ from typing import Any, NamedTuple
 
 from binocular_recon.errors import FileError, ImageError
 from binocular_recon.images import Image
+from binocular_recon.io.image_headers import MOST_PIXELS
+from binocular_recon.io.text_files import open_file
 from binocular_recon.machine import optional_package
 
 _NS = 1_000_000_000
 # A video may lack so many frames of what its header states without being called cut off.
 _ROUNDED_FRAMES = 1.5
+# FFmpeg's names of what is read. Others, such as playlists, may name any file or themselves.
+_FORMATS = (
+    'mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,asf,mpeg,mpegts,mpegvideo,flv,ogg,mjpeg,h264,hevc'
+)
 
 
 class VideoFrame(NamedTuple):
@@ -74,7 +80,8 @@ class Video(AbstractContextManager['Video']):
         self.path, self.damage = path, list[str]()
         self._errors = av.error.FFmpegError
         try:
-            self._container = av.open(str(path))
+            open_file(path).close()
+            self._container = av.open(str(path), options={'format_whitelist': _FORMATS})
         except (self._errors, OSError) as error:
             raise FileError(
                 f'{path} cannot be read as a video: {_reason(error)}; a recording that'
@@ -85,6 +92,7 @@ class Video(AbstractContextManager['Video']):
             raise FileError(f'{path} holds no video stream; give a video')
         self._stream = self._container.streams.video[0]
         context = self._stream.codec_context
+        context.options = {'max_pixels': str(MOST_PIXELS)}
         self.size = context.width, context.height
         self.rate_hz = float(self._stream.average_rate or 0)
         self._duration_s = (self._container.duration or 0) / av.time_base

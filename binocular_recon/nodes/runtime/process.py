@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -148,7 +149,9 @@ def compile_elsewhere(presets: Sequence[str]) -> None:
     """
     command = [sys.executable, '-m', 'binocular_recon', 'warm-up', '--presets', ','.join(presets)]
     nothing = subprocess.DEVNULL
-    process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
+    # not in the current folder, where `-m` would look for modules first
+    place = Path(__file__).parents[3]
+    process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, cwd=place)
     os.setpriority(os.PRIO_PROCESS, process.pid, 10)
 
     def end() -> None:

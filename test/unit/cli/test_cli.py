@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import re
 import subprocess
 import sys
@@ -262,3 +263,48 @@ def test_play_without_ros_says_what_to_do(
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     assert main(['play', str(tmp_path)]) == 1
     assert 'ROS 2 is not installed' in capsys.readouterr().err
+
+
+def test_names_that_no_terminal_can_print() -> None:
+    """Neither a character that its encoding lacks nor an escape sequence is written to it."""
+    script = (
+        'from binocular_recon.cli import main, options\n'
+        'from binocular_recon.cli.clouds import play\n'
+        'play.run = lambda args: options.say(args.bag)\n'
+        'main.main()\n'
+    )
+    for name, encoding, printed in (
+        ('b\xe4g', 'ascii', 'b\\xe4g'),
+        ('b\xe4g', 'utf-8', 'b\xe4g'),
+        (os.fsdecode(b'b\xffg'), 'utf-8', 'b\\udcffg'),
+        ('b\x1b[2Jg', 'utf-8', 'b\\x1b[2Jg'),
+    ):
+        done = subprocess.run(
+            [sys.executable, '-c', script, 'play', name],
+            capture_output=True,
+            check=False,
+            env={**os.environ, 'PYTHONIOENCODING': encoding},
+        )
+        assert (done.returncode, done.stdout.decode()) == (0, f'{printed}\n'), done.stderr
+    command = [sys.executable, '-m', 'binocular_recon', 'play', 'bag', '--\x1b[2J']
+    done = subprocess.run(command, capture_output=True, check=False)
+    assert done.returncode == 2
+    assert b'unrecognized arguments: --\\x1b[2J' in done.stderr and b'\x1b' not in done.stderr
+
+
+def test_commands_print_by_say_and_note_only() -> None:
+    for path in Path(cli.__file__).parent.glob('*/*.py'):
+        assert not re.search(r'(?<!\w)print\(', path.read_text()), path
+
+
+def test_a_current_folder_that_was_removed(tmp_path: Path) -> None:
+    script = 'import os, sys; os.rmdir(os.getcwd()); os.execv(sys.executable, sys.argv[1:])'
+    run = [sys.executable, '-m', 'binocular_recon', 'reconstruct', 'bag', '--output', 'out']
+    command = [sys.executable, '-c', script, *run]
+    folder = tmp_path / 'gone'
+    folder.mkdir()
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == (
+        'binocular-recon reconstruct: bag does not exist; check the path of the bag\n'
+    )

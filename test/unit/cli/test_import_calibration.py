@@ -64,3 +64,13 @@ def test_wrong_words(
     (tmp_path / 'rig').write_text('')
     assert run(*opencv_sample(tmp_path), '--output', tmp_path / 'rig', *words) == status
     assert message in capsys.readouterr().err
+
+
+def test_names_of_cameras_do_not_steer_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left, right = mrcal(tmp_path)
+    left = left.rename(tmp_path / '\x1b[2Jleft.cameramodel')
+    assert run(left, right, '--output', tmp_path / 'rig') == 0
+    said = capsys.readouterr()
+    assert '\\x1b[2Jleft is the left camera' in said.out and '\x1b' not in said.out + said.err

@@ -100,7 +100,7 @@ def test_metadata_says_which_files_belong_to_the_bag(tmp_path: Path, fmt: str) -
     records = stereo_records(3)
     path = write_split_bag(tmp_path / 'bag', records, fmt)
     files = sorted(file.name for file in path.iterdir())
-    write_metadata(path, files[:2])
+    write_metadata(path, [*files[:2], *files[:2]])  # twice
     with Bag(path) as bag:
         assert len(list(bag.messages())) == 8
         assert bag.damage == []

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from binocular_recon.io.exports.las import write_las
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.exports.ply_table import write_ply_table
 from binocular_recon.io.exports.point_table import WHOLE, PointTable
+from binocular_recon.io.files import write_text
 from binocular_recon.io.ply import read_ply, write_ply
 from binocular_recon.rotations import rotation
 from binocular_recon.stereo.triangulation import Cloud
@@ -265,3 +267,14 @@ def test_depth_images_and_their_side_files(tmp_path: Path) -> None:
         else:
             assert (np.ptp(near), np.ptp(far)) == (0, 0) and near[0] > far[0] + 150 and far[0] > 0
         assert not drawn[5:9, 7:20].any()
+
+
+def test_a_name_that_is_no_utf_8(table: PointTable, tmp_path: Path) -> None:
+    pytest.importorskip('pye57')
+    with pytest.raises(
+        FileError, match=r'\\udcff\.e57 cannot be written: E57 needs a path in UTF'
+    ):
+        write_e57(tmp_path / os.fsdecode(b'n\xff.e57'), table)
+    write_text(tmp_path / 'page.html', os.fsdecode('<p>bä'.encode() + b'\xff</p>'))
+    assert (tmp_path / 'page.html').read_text() == '<p>bä\\udcff</p>'
+    assert [path.name for path in tmp_path.iterdir()] == ['page.html']

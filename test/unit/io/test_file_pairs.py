@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -193,3 +194,16 @@ def test_folders_patterns_and_files(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(FileError, match=match):
             find_files(str(text), 'left')
+
+
+def test_patterns_that_never_end_and_pipes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(6):
+        (tmp_path / f'link{number}').symlink_to('.')
+    touch(tmp_path, 'a.png')
+    monkeypatch.setattr('binocular_recon.io.pairs.file_lists._MOST_NAMES', 1000)
+    with pytest.raises(FileError, match=r'more than 1000 names fit the pattern, perhaps by links'):
+        find_files(str(tmp_path / '**' / '*.png'), 'left')
+    os.mkfifo(tmp_path / 'a.jpg')
+    assert capture_time_ns(tmp_path / 'a.jpg') is None

@@ -274,5 +274,5 @@ def test_grey_images_are_whole() -> None:
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'left.png')
-    with pytest.raises(FileError, match=r'left\.png is not a file'):
+    with pytest.raises(FileError, match=r'left\.png cannot be read: it is not a file; give a PNG'):
         read_image_file(tmp_path / 'left.png')

@@ -18,7 +18,7 @@ from binocular_recon.apps.survey.report.sources import ReportDetails, ReportSour
 from binocular_recon.drawing.cloud_view import cloud_script
 from binocular_recon.drawing.page import cards, embedded_image, page
 from binocular_recon.errors import BinocularReconError, ConfigError, FileError, shortened
-from binocular_recon.io.files import complete_file
+from binocular_recon.io.files import write_text
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.machine import now_text
 from binocular_recon.measurement.check_distance import CHECK_FILE
@@ -60,8 +60,7 @@ def write_report(folder: Path, details: ReportDetails, output: Path | None = Non
     """
     html = render(folder, details)
     path = output or folder / REPORT_FILE
-    with complete_file(path) as file:
-        file.write(html.encode())
+    write_text(path, html)
     return path
 
 
@@ -101,7 +100,7 @@ def render(folder: Path, details: ReportDetails) -> str:
             script=cloud_script(),
         )
 
-    room = details.most_bytes - len(whole('').encode()) - _AROUND_CLOUD
+    room = details.most_bytes - len(whole('').encode(errors='backslashreplace')) - _AROUND_CLOUD
     return whole(cloud(sources, numbers[0], frames[0], room))
 
 

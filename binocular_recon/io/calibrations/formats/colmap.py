@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError, FileError
 from binocular_recon.io.calibrations.format import CalibrationFormat
 from binocular_recon.io.calibrations.raw_rig import Choice, RawCamera, RawRig, wanted
-from binocular_recon.io.calibrations.source import SourceFile
+from binocular_recon.io.calibrations.source import MOST_BYTES, SourceFile
 from binocular_recon.io.calibrations.values import (
     frame_of,
     image_size,
@@ -25,6 +26,7 @@ from binocular_recon.io.calibrations.values import (
     pose_of,
     side_of,
 )
+from binocular_recon.io.text_files import open_file
 
 # Lens, and where its parameters are, of each model: focal lengths, then the coefficients of D in
 # the order of the lens; cx and cy follow the focal lengths.
@@ -161,13 +163,20 @@ def _camera(name: str, where: str, words: list[str]) -> RawCamera:
 def _images(path: Path) -> Iterator[_Image]:
     """Yield the images; each has two lines, of which the second one lists its points."""
     try:
-        with path.open(encoding='utf-8', errors='replace') as file:
+        with io.TextIOWrapper(open_file(path), 'utf-8', 'replace') as file:
             count = number = 0
             points = False
             while line := file.readline(_MOST_LINE):
                 number += 1
+                length = len(line)
                 while not line.endswith('\n') and (more := file.readline(_MOST_LINE)):
                     line = line[:200] + more[-1:]  # points go on
+                    length += len(more)
+                    if length > MOST_BYTES:
+                        raise CalibrationError(
+                            f'{path}: line {number} has more than {MOST_BYTES / 1e6:g} MB; the'
+                            ' file is damaged, export it again'
+                        )
                 if line.startswith('#'):
                     continue
                 points = not points

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.calibrations.registry import read_calibration
 from test.unit.io.calibrations.foreign_files import (
     SIZE,
+    colmap,
     kalibr,
     opencv_one_file,
 )
@@ -101,3 +103,12 @@ def test_several_formats_and_left_over_files(tmp_path: Path) -> None:
     second.write_text(yaml.safe_dump(yaml.safe_load(files[0].read_text())))
     with pytest.raises(CalibrationError, match='two calibrations of Kalibr; give one'):
         read_calibration([files[0], second])
+
+
+def test_points_of_an_image_without_an_end(tmp_path: Path) -> None:
+    """Which a file of the disk's holes costs nothing."""
+    cameras = colmap(tmp_path)[0]
+    images = cameras.with_name('images.txt')
+    os.truncate(images, 1 << 38)
+    with pytest.raises(CalibrationError, match=r'images\.txt: line \d+ has more than 64 MB'):
+        read_rig(cameras.parent)
