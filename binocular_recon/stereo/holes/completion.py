@@ -168,8 +168,7 @@ def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
     slope = median_filter(slopes, SLOPE_ROWS)
     spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
     slope *= 1 - np.minimum(spread / np.maximum(np.abs(slope), 1e-6), 1) ** 2
-    # fmin and fmax ignore NaN
-    limits = np.array([limit.reduce(measured_px, axis=None) for limit in (np.fmin, np.fmax)])
+    limits = np.array([filled_px.min(), filled_px.max()])  # those of what was measured
     continue_slopes(rows, first[rows], start[rows], slope, limits, filled_px)
 
 
