@@ -115,7 +115,7 @@ def compare_ends_of_columns(
                 cost = at_most(end, end, cost, far)
                 least, own = load(costs.least[y], x), load(costs.own[y], x)
                 off = _size(end - load(filled[y], x))
-                same = at_most(off, splat(SAME_SURFACE_PX), cost, far)
+                same = at_most(splat(SAME_SURFACE_PX), off, far, cost)
                 store(costs.own[y], x, smaller(own, same))
                 store(costs.value[y], x, at_most(least, cost, load(costs.value[y], x), end))
                 store(costs.least[y], x, smaller(least, cost))

@@ -114,6 +114,8 @@ def test_costs_of_candidates_equal_the_naive_twin() -> None:
     measured[5:20, 10:40] = np.nan
     measured[:, 140:] = np.nan
     guide = rng.uniform(0, 255, measured.shape).astype(np.float32)
+    measured[:, 60:90] = 15 + SAME_SURFACE_PX  # another surface, by no more than that
+    measured[10:30, 70:80] = np.nan
     filled = np.where(np.isnan(measured), np.float32(15), measured)
     height, width = measured.shape
     costs = Costs(*np.zeros((3, height, width + LANES), np.float32))
