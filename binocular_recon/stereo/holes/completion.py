@@ -115,6 +115,7 @@ def fill_from_nearest(disparity_px: FloatImage) -> FloatImage:
 
 
 def _filled_rows(fill_strip: Callable[..., None], disparity_px: FloatImage) -> FloatImage:
+    disparity_px = np.ascontiguousarray(disparity_px)
     filled = np.empty_like(disparity_px)
     over_strips(fill_strip, len(filled), disparity_px, filled)
     copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
@@ -145,7 +146,7 @@ def unexplained_holes(disparity_px: FloatImage) -> Mask:
 
     """
     unexplained = np.empty(disparity_px.shape, np.bool_)
-    rows = len(unexplained)
+    rows, disparity_px = len(unexplained), np.ascontiguousarray(disparity_px)
     over_strips(mark_unexplained, rows, disparity_px, OCCLUSION_SLACK_PX, unexplained)
     return unexplained
 
