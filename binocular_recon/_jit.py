@@ -114,6 +114,9 @@ def over_strips(function: Callable[..., None], length: int, *args: Any, strip: i
     The strips do not depend on the number of threads, so results that are accumulated per strip
     do not either. Strips must not write to the same memory.
     """
+    if 0 < length <= strip:  # most calls of a solver's coarse grids, which are short
+        function(*args, 0, length)
+        return
     starts = iter(range(0, length, strip))  # each strip goes to the thread that takes it first
 
     def work() -> None:

@@ -95,24 +95,28 @@ class Regions:
 
     def __init__(self, level: Level) -> None:
         self._level = level
-        self._labels, self._parents = np.zeros((2, level.lattice.excess.size), np.int32)
+        self._labels, self._parents, nodes, numbers = np.zeros(
+            (4, level.lattice.excess.size), np.int32
+        )
+        self._members, self._count = (nodes, numbers), 0
         self._inverse, self._values = np.zeros((2, 1))
 
     def find(self, strong: float) -> None:
         """Find the regions, held together by links above ``strong``."""
         lattice, labels = self._level.lattice, self._labels
-        count = region_kernels.label_regions(lattice, strong, labels, self._parents)
-        diagonal, self._values = np.zeros((2, count + 1))
-        region_kernels.region_diagonal(lattice, labels, diagonal)
+        last, self._count = region_kernels.label_regions(
+            lattice, strong, labels, self._parents, self._members
+        )
+        diagonal, self._values = np.zeros((2, last + 1))
+        nodes = self._members[0][: self._count]
+        region_kernels.region_diagonal(lattice, labels, nodes, diagonal)
         # a region that nothing holds has no correction
         self._inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
 
     def solve(self, rhs: Vector, out: Vector) -> None:
         """Write the constant in each region that takes the sum of rhs over it away; else 0."""
-        level, labels, values = self._level, self._labels, self._values
-        region_kernels.sum_regions(level.lattice, labels, rhs, values)
-        values *= self._inverse
-        level.run(region_kernels.spread_regions, level.lattice, labels, values, out)
+        nodes, numbers = (array[: self._count] for array in self._members)
+        region_kernels.correct_regions(nodes, numbers, self._inverse, rhs, self._values, out)
 
 
 class Coarser(NamedTuple):

@@ -13,9 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from binocular_recon._jit import inline_kernel, kernel
+from binocular_recon._simd import LANES, at_most, larger, largest, load, splat, to_int32
 from binocular_recon.stereo.filtering._lattice_kernels import (
+    ONE,
+    PAD,
     ZERO,
     Lattice,
+    Offsets,
     Vector,
     node,
     offsets,
@@ -56,12 +60,25 @@ def _differs(label: Any, other: Any) -> Any:
     return (label != 0) & (label != other)
 
 
-@kernel
-def label_regions(lattice: Lattice, least: float, labels: Labels, parents: Labels) -> int:
-    """Write the number of each node's region, from 1 on, and return the last one.
+@inline_kernel
+def _has_strong(links: Any, k: int, back: Offsets, strong: Any) -> Any:
+    """Return whether any link of `LANES` nodes, from node k on, is strong."""
+    most = larger(load(links[0], k), load(links[0], k - 1))
+    for a in range(1, 4):
+        most = larger(most, larger(load(links[a], k), load(links[a], k - back[a - 1])))
+    marks = at_most(most, splat(strong), splat(ZERO), splat(ONE))
+    return largest(to_int32(marks)) > 0
 
-    A node without strong links gets 0.
-    ``labels`` (nodes,) must be 0 in the padding; ``parents`` (nodes,) is work space.
+
+@kernel
+def label_regions(
+    lattice: Lattice, least: float, labels: Labels, parents: Labels, members: tuple[Labels, Labels]
+) -> tuple[int, int]:
+    """Write the number of each node's region, from 1 on; 0 where no strong link is.
+
+    Returns the last number and how many nodes have one; ``members`` get these nodes and their
+    numbers. All arrays are (nodes,). ``labels`` must be 0 in the padding; ``parents`` is work
+    space.
     """
     links, stride, strong = lattice.links, lattice.stride, np.float32(least)
     last: Any = 0
@@ -69,20 +86,25 @@ def label_regions(lattice: Lattice, least: float, labels: Labels, parents: Label
     for y in range(lattice.rows):
         back, first = offsets(lattice.earlier, y), node(stride, y, 0)
         west: Any = np.int32(0)
-        for k in range(first, first + lattice.width):
-            a = _kept(west, east[k - 1], strong)
-            b = _kept(labels[k - back[0]], one[k - back[0]], strong)
-            c = _kept(labels[k - back[1]], two[k - back[1]], strong)
-            d = _kept(labels[k - back[2]], three[k - back[2]], strong)
-            label = max(a, b, c, d)
-            if _differs(a, label) | _differs(b, label) | _differs(c, label) | _differs(d, label):
-                label = _join(parents, _join(parents, a, b), _join(parents, c, d))
-            begins = max(east[k], one[k], two[k], three[k]) > strong
-            fresh = np.int32(begins & (label == 0))
-            last += fresh
-            parents[last + 1 - fresh] = last + 1 - fresh
-            label += fresh * last
-            labels[k] = west = label
+        for begin in range(first, first + lattice.width, LANES):
+            if not _has_strong(links, begin, back, strong):
+                labels[begin : begin + LANES] = west = np.int32(0)
+                continue
+            for k in range(begin, begin + LANES):
+                a = _kept(west, east[k - 1], strong)
+                b = _kept(labels[k - back[0]], one[k - back[0]], strong)
+                c = _kept(labels[k - back[1]], two[k - back[1]], strong)
+                d = _kept(labels[k - back[2]], three[k - back[2]], strong)
+                label = max(a, b, c, d)
+                differ = _differs(a, label) | _differs(b, label)
+                if differ | _differs(c, label) | _differs(d, label):
+                    label = _join(parents, _join(parents, a, b), _join(parents, c, d))
+                begins = max(east[k], one[k], two[k], three[k]) > strong
+                fresh = np.int32(begins & (label == 0))
+                last += fresh
+                parents[last + 1 - fresh] = last + 1 - fresh
+                label += fresh * last
+                labels[k] = west = label
     parents[0] = count = 0
     for label in range(1, last + 1):  # a parent has a lower number than its children
         if parents[label] == label:
@@ -90,55 +112,57 @@ def label_regions(lattice: Lattice, least: float, labels: Labels, parents: Label
             parents[label] = count
         else:
             parents[label] = parents[parents[label]]
+    nodes, numbers = members
+    found = 0
     for y in range(lattice.rows):
         first = node(stride, y, 0)
         for k in range(first, first + lattice.width):
-            labels[k] = parents[labels[k]]
-    return count
-
-
-@inline_kernel
-def _add_outwards(link: Vector, labels: Labels, others: Labels, out: Vector) -> None:
-    for i in range(len(out)):
-        out[i] += ZERO if labels[i] == others[i] else link[i]
+            label = parents[labels[k]]
+            labels[k] = numbers[found] = label
+            nodes[found] = k
+            found += label != 0
+    return count, found
 
 
 @kernel
-def region_diagonal(lattice: Lattice, labels: Labels, diagonal: Any) -> None:
-    """Write the sum, by region, of the excess and of the links that leave it."""
-    stride, n = lattice.stride, lattice.width
-    total = np.empty(n, np.float32)
-    diagonal[:] = 0
-    for y in range(lattice.rows):
-        ahead, back, first = lattice.later[y & 1], lattice.earlier[y & 1], node(stride, y, 0)
-        here = labels[first : first + n]
-        total[:] = lattice.excess[first : first + n]
-        for a in range(4):
-            k = first + ahead[a]
-            _add_outwards(lattice.links[a, first : first + n], here, labels[k : k + n], total)
-            k = first - back[a]
-            _add_outwards(lattice.links[a, k : k + n], here, labels[k : k + n], total)
-        for x in range(n):
-            diagonal[here[x]] += total[x]
-
-
-@kernel
-def sum_regions(lattice: Lattice, labels: Labels, rhs: Vector, sums: Any) -> None:
-    """Write the sum of rhs by region; 0 for what is in none. In order, not by strips."""
-    sums[:] = 0
-    for y in range(lattice.rows):
-        first = node(lattice.stride, y, 0)
-        for k in range(first, first + lattice.width):
-            sums[labels[k]] += rhs[k]
-    sums[0] = 0
-
-
-@kernel
-def spread_regions(
-    lattice: Lattice, labels: Labels, values: Any, out: Vector, start: int, stop: int
+def region_diagonal(
+    lattice: Lattice, labels: Labels, nodes: Labels, diagonal: npt.NDArray[np.float64]
 ) -> None:
-    """Write the value of its region to each node of rows."""
-    for y in range(start, stop):
-        first = node(lattice.stride, y, 0)
-        for k in range(first, first + lattice.width):
-            out[k] = np.float32(values[labels[k]])
+    """Write the sum, by region, of the excess and of the links that leave it.
+
+    ``nodes``: those with a label.
+    """
+    links = lattice.links
+    diagonal[:] = 0
+    for k in nodes:
+        y = k // lattice.stride - PAD
+        ahead, back, here = lattice.later[y & 1], lattice.earlier[y & 1], labels[k]
+        total = lattice.excess[k]
+        for a in range(4):
+            total += ZERO if labels[k + ahead[a]] == here else links[a, k]
+            total += ZERO if labels[k - back[a]] == here else links[a, k - back[a]]
+        diagonal[here] += total
+
+
+@kernel
+def correct_regions(
+    nodes: Labels,
+    numbers: Labels,
+    inverse: npt.NDArray[np.float64],
+    rhs: Vector,
+    values: npt.NDArray[np.float64],
+    out: Vector,
+) -> None:
+    """Write the sum of rhs over its region, times the inverse, to each node; 0 outside regions.
+
+    ``nodes`` and ``numbers``: those with a label, and these; ``values`` is work space. In order,
+    not by strips.
+    """
+    values[:] = 0
+    for i in range(len(nodes)):
+        values[numbers[i]] += rhs[nodes[i]]
+    for i in range(len(values)):
+        values[i] *= inverse[i]
+    out[:] = ZERO
+    for i in range(len(nodes)):
+        out[nodes[i]] = np.float32(values[numbers[i]])

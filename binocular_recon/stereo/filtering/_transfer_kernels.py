@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon._simd import (
     LANES,
@@ -28,7 +26,7 @@ from binocular_recon._simd import (
 )
 from binocular_recon.stereo.filtering._lattice_kernels import ONE, PAD, TINY, ZERO, Vector, node
 
-Real = np.floating[Any] | float
+Cell = tuple[Any, Any, Any, Any, Any, Any]
 
 
 class Transfer(NamedTuple):
@@ -121,47 +119,68 @@ def set_centre_weights(links: Vector, transfer: Transfer, start: int, stop: int)
 
 
 @inline_kernel
-def _add_link(cell: Vector, link: Real, g0: Real, g1: Real, g2: Real, g3: Real) -> None:
-    """Add the energy ``link * (g0 f0 + g1 f1 + g2 f2 + g3 f3)^2`` to the links of a cell."""
-    cell[0] -= link * g0 * g1
-    cell[1] -= link * g0 * g2
-    cell[2] -= link * g0 * g3
-    cell[3] -= link * g1 * g2
-    cell[4] -= link * g1 * g3
-    cell[5] -= link * g2 * g3
+def _add_link(cell: Cell, link: Any, g0: Any, g1: Any, g2: Any, g3: Any) -> Cell:
+    """Add the energy ``link * (g0 f0 + g1 f1 + g2 f2 + g3 f3)^2`` to the links of cells."""
+    h0, h1, h2 = link * g0, link * g1, link * g2
+    return (
+        cell[0] - h0 * g1,
+        cell[1] - h0 * g2,
+        cell[2] - h0 * g3,
+        cell[3] - h1 * g2,
+        cell[4] - h1 * g3,
+        cell[5] - h2 * g3,
+    )
 
 
 @inline_kernel
-def _sum_cell(cell: Vector, links: Vector, transfer: Transfer, k: int, c: int) -> None:
-    """Sum the fine links in the cell of four coarse nodes, without its eastern and southern side.
+def _sum_cells(links: Vector, transfer: Transfer, k: int, c: int) -> Cell:
+    """Sum the fine links in cells of four coarse nodes, without the eastern and southern sides.
 
-    The corners are numbered 0 and 1 in the north, 2 and 3 in the south; ``cell`` gets the links
-    0-1, 0-2, 0-3, 1-2, 1-3 and 2-3. ``n0`` is the weight of corner 0 in the northern line node,
-    and so on; ``m0`` to ``m3`` are those of the centre node.
+    The corners are numbered 0 and 1 in the north, 2 and 3 in the south; returns the links 0-1,
+    0-2, 0-3, 1-2, 1-3 and 2-3. ``n0`` is the weight of corner 0 in the northern line node, and so
+    on; ``m0`` to ``m3`` are those of the centre node.
     """
     weights, stride = transfer.weights, transfer.stride
     link_east, link_sw, link_south, link_se = links[0], links[1], links[2], links[3]
-    centre, below = k + stride + 1, k + stride
-    n0, s2 = weights[0, c], weights[0, c + transfer.coarse_stride]
-    w0, e1 = weights[1, c], weights[1, c + 1]
-    n1, s3, w2, e3 = ONE - n0, ONE - s2, ONE - w0, ONE - e1
-    m0, m1, m2, m3 = weights[2, c], weights[3, c], weights[4, c], weights[5, c]
-    cell[:] = 0
-    _add_link(cell, link_south[k + 1], m0 - n0, m1 - n1, m2, m3)
-    _add_link(cell, link_south[centre], m0, m1, m2 - s2, m3 - s3)
-    _add_link(cell, link_east[centre - 1], m0 - w0, m1, m2 - w2, m3)
-    _add_link(cell, link_east[centre], m0, m1 - e1, m2, m3 - e3)
-    cell[0] += link_east[k] * n1 * n1 + link_east[k + 1] * n0 * n0
-    cell[1] += link_south[k] * w2 * w2 + link_south[below] * w0 * w0
+    below, one, zero = k + stride, splat(ONE), splat(ZERO)
+    n0, s2 = load(weights[0], c), load(weights[0], c + transfer.coarse_stride)
+    w0, e1 = load(weights[1], c), load(weights[1], c + 1)
+    n1, s3, w2, e3 = one - n0, one - s2, one - w0, one - e1
+    m0, m1, m2, m3 = (
+        load(weights[2], c),
+        load(weights[3], c),
+        load(weights[4], c),
+        load(weights[5], c),
+    )
+    west, east = load_even(link_east, k), load_odd(link_east, k)
+    north, south = load_even(link_south, k), load_even(link_south, below)
+    cell = (
+        west * n1 * n1 + east * n0 * n0,
+        north * w2 * w2 + south * w0 * w0,
+        zero,
+        zero,
+        zero,
+        zero,
+    )
+    cell = _add_link(cell, load_odd(link_south, k), m0 - n0, m1 - n1, m2, m3)
+    cell = _add_link(cell, load_odd(link_south, below), m0, m1, m2 - s2, m3 - s3)
+    cell = _add_link(cell, load_even(link_east, below), m0 - w0, m1, m2 - w2, m3)
+    cell = _add_link(cell, load_odd(link_east, below), m0, m1 - e1, m2, m3 - e3)
     if transfer.diagonal:
-        _add_link(cell, link_se[k], m0 - ONE, m1, m2, m3)
-        _add_link(cell, link_sw[k + 2], m0, m1 - ONE, m2, m3)
-        _add_link(cell, link_sw[centre], m0, m1, m2 - ONE, m3)
-        _add_link(cell, link_se[centre], m0, m1, m2, m3 - ONE)
-        _add_link(cell, link_sw[k + 1], n0 - w0, n1, -w2, ZERO)
-        _add_link(cell, link_se[k + 1], n0, n1 - e1, ZERO, -e3)
-        _add_link(cell, link_se[below], w0, ZERO, w2 - s2, -s3)
-        _add_link(cell, link_sw[below + 2], ZERO, e1, -s2, e3 - s3)
+        cell = _add_link(cell, load_even(link_se, k), m0 - one, m1, m2, m3)
+        cell = _add_link(cell, load_even(link_sw, k + 2), m0, m1 - one, m2, m3)
+        cell = _add_link(cell, load_odd(link_sw, below), m0, m1, m2 - one, m3)
+        cell = _add_link(cell, load_odd(link_se, below), m0, m1, m2, m3 - one)
+        cell = _add_link(cell, load_odd(link_sw, k), n0 - w0, n1, zero - w2, zero)
+        cell = _add_link(cell, load_odd(link_se, k), n0, n1 - e1, zero, zero - e3)
+        cell = _add_link(cell, load_even(link_se, below), w0, zero, w2 - s2, zero - s3)
+        cell = _add_link(cell, load_even(link_sw, below + 2), zero, e1, zero - s2, e3 - s3)
+    return cell
+
+
+@inline_kernel
+def _add(array: Vector, k: int, values: Any) -> None:
+    store(array, k, load(array, k) + values)
 
 
 @kernel
@@ -169,19 +188,19 @@ def galerkin(links: Vector, transfer: Transfer, coarse: Vector, start: int, stop
     """Write the links (4, coarse nodes) of coarse rows."""
     coarse_stride = transfer.coarse_stride
     coarse[:, (start + PAD) * coarse_stride : (stop + PAD) * coarse_stride] = ZERO
-    cell = np.zeros(6, np.float32)
+    east, south_west, south, south_east = coarse[0], coarse[1], coarse[2], coarse[3]
     for cy in range(start - 1, stop):
-        for cx in range((transfer.columns + 1) // 2):
+        for cx in range(0, (transfer.columns + 1) // 2, LANES):
             c, k = node(coarse_stride, cy, cx), node(transfer.stride, 2 * cy, 2 * cx)
-            _sum_cell(cell, links, transfer, k, c)
+            cell = _sum_cells(links, transfer, k, c)
             if cy >= start:
-                coarse[0, c] += cell[0]
-                coarse[2, c] += cell[1]
-                coarse[3, c] += cell[2]
-                coarse[1, c + 1] += cell[3]
-                coarse[2, c + 1] += cell[4]
+                _add(east, c, cell[0])
+                _add(south, c, cell[1])
+                _add(south_east, c, cell[2])
+                _add(south_west, c + 1, cell[3])
+                _add(south, c + 1, cell[4])
             if cy + 1 < stop:
-                coarse[0, c + coarse_stride] += cell[5]
+                _add(east, c + coarse_stride, cell[5])
 
 
 @kernel

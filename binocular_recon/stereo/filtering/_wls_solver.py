@@ -149,7 +149,7 @@ class System:
         Returns
         -------
         Solution
-            Its values are overwritten by the next call.
+            The values and how they were found.
 
         """
         black, grid, pixels = self._black, self._grid, self._pixel_values
@@ -167,7 +167,8 @@ class System:
         rounding = _ROUNDING * max(abs(float(data.max())), abs(float(data.min())))
         iterations, error = self._iterate(max(tolerance, rounding))
         black.run(reduction.substitute_red, grid, self._rhs, x, pixels)
-        return Solution(self._pixels(pixels), iterations, error + rounding)
+        # a copy, because kernels are slower on rows that are not one behind the other
+        return Solution(self._pixels(pixels).copy(), iterations, error + rounding)
 
     def _step_along(self, pixels: Vector) -> None:
         """Change x along a direction by the best step."""

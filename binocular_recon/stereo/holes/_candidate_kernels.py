@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from binocular_recon._jit import Array, exact_kernel, inline_kernel, kernel
+from binocular_recon.stereo.holes._hole_kernels import keep_nearest
 
 # Bits of the directions in which a pixel has a measured one.
 WEST, EAST, NORTH, SOUTH = 1, 2, 4, 8
@@ -26,12 +27,6 @@ def _add_candidate(
         counted = np.isnan(hole[x]) and difference == difference
         squares[x] += difference * difference if counted else _ZERO
         found[x] |= bit if counted else none
-
-
-@inline_kernel
-def _keep_nearest(row: Array, candidate: Array) -> None:
-    for x in range(len(row)):
-        candidate[x] = candidate[x] if np.isnan(row[x]) else row[x]
 
 
 @kernel
@@ -66,7 +61,7 @@ def compare_along_columns(
         candidate[:] = np.nan
         for i in range(height):
             y = height - 1 - i if side else i
-            _keep_nearest(measured[y, columns], candidate)
+            keep_nearest(measured[y, columns], candidate)
             _add_candidate(
                 candidate,
                 filled[y, columns],

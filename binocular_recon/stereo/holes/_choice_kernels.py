@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from binocular_recon._jit import Array, inline_kernel, kernel
+from binocular_recon._simd import LANES, at_most, larger, largest, load, smaller, splat, store
+from binocular_recon.stereo.holes._hole_kernels import is_missing, next_hole
 
 # Costs per pixel of distance, per grey level between the pixel and the end, and per level of the
 # largest step on the way.
@@ -23,7 +25,7 @@ _NAN, _FAR = np.float32(np.nan), np.float32(np.inf)
 
 
 class Costs(NamedTuple):
-    """The least costs of hole pixels, (H, W) float32.
+    """The least costs of hole pixels, (H, W + LANES) float32; elsewhere anything.
 
     Attributes
     ----------
@@ -38,8 +40,8 @@ class Costs(NamedTuple):
 
 
 @inline_kernel
-def _cost(steps: Any, difference: Any, edge: Any) -> Any:
-    return DISTANCE * steps + LEVEL * abs(difference) + EDGE * edge
+def _size(vector: Any) -> Any:
+    return larger(vector, splat(_ZERO) - vector)
 
 
 @kernel
@@ -54,63 +56,74 @@ def compare_ends_of_rows(
     for y in range(start, stop):
         row, fill, levels = measured[y], filled[y], guide[y]
         least, value, own = costs.least[y], costs.value[y], costs.own[y]
-        least[:], own[:] = _FAR, _FAR
-        for side in range(2):
-            end, level, before, steps, edge = _NAN, _ZERO, _ZERO, _ZERO, _ZERO
-            for i in range(width):
-                x = width - 1 - i if side else i
-                here = levels[x]
-                if row[x] == row[x]:
-                    end, level, before, steps, edge = row[x], here, here, _ZERO, _ZERO
+        first, last = next_hole(row, 0)
+        while first < last:
+            least[first:last] = own[first:last] = _FAR
+            for side in range(2):
+                x, step = (last, -1) if side else (first - 1, 1)
+                if not 0 <= x < width:
                     continue
-                steps += _ONE
-                edge = max(edge, abs(here - before))
-                before = here
-                # no cost where nothing was measured on the way
-                cost = _cost(steps, here - level, edge) if end == end else _FAR
-                if cost < own[x] and abs(end - fill[x]) < SAME_SURFACE_PX:
-                    own[x] = cost
-                if cost < least[x]:
-                    least[x], value[x] = cost, end
+                end, level, before, steps, edge = row[x], levels[x], levels[x], _ZERO, _ZERO
+                for _ in range(last - first):
+                    x += step
+                    here = levels[x]
+                    steps += _ONE
+                    edge = max(edge, abs(here - before))
+                    before = here
+                    cost = DISTANCE * steps + LEVEL * abs(here - level) + EDGE * edge
+                    if cost < own[x] and abs(end - fill[x]) < SAME_SURFACE_PX:
+                        own[x] = cost
+                    if cost < least[x]:
+                        least[x], value[x] = cost, end
+            first, last = next_hole(row, last)
 
 
 @kernel
 def compare_ends_of_columns(
     measured: Array, filled: Array, guide: Array, costs: Costs, start: int, stop: int
 ) -> None:
-    """Compare also what those of columns ``start`` to ``stop`` find in the north and the south."""
-    height, width = len(measured), stop - start
-    # of each column: the last measured pixel and its level, the level of the last pixel, and the
-    # way and the largest edge since
-    end, level, before = np.empty((3, width), np.float32)
-    steps, edge = np.empty((2, width), np.float32)
-    for side in range(2):
-        end[:] = _NAN
-        for i in range(height):
-            y = height - 1 - i if side else i
-            row, fill, levels = measured[y], filled[y], guide[y]
-            least, value, own = costs.least[y], costs.value[y], costs.own[y]
-            for k in range(width):
-                x = start + k
-                here = levels[x]
-                if row[x] == row[x]:
-                    end[k], level[k], before[k] = row[x], here, here
-                    steps[k], edge[k] = _ZERO, _ZERO
+    """Compare also what those of columns ``start`` to ``stop`` find in the north and the south.
+
+    The images have at least `LANES` columns more, without holes.
+    """
+    height = len(measured)
+    none, zero, one, far = splat(_NAN), splat(_ZERO), splat(_ONE), splat(_FAR)
+    distance, contrast, steepness = splat(DISTANCE), splat(LEVEL), splat(EDGE)
+    for x in range(start, stop, LANES):
+        for side in range(2):
+            # of each column: the last measured pixel and its level, and the way and the largest
+            # edge since
+            end, level, steps, edge = none, zero, zero, zero
+            for i in range(height):
+                y = height - 1 - i if side else i
+                if largest(is_missing(load(measured[y], x))) == 0:
                     continue
-                if end[k] != end[k]:
-                    continue
-                steps[k] += _ONE
-                edge[k] = max(edge[k], abs(here - before[k]))
-                before[k] = here
-                cost = _cost(steps[k], here - level[k], edge[k])
-                if cost < own[x] and abs(end[k] - fill[x]) < SAME_SURFACE_PX:
-                    own[x] = cost
-                if cost < least[x]:
-                    least[x], value[x] = cost, end[k]
+                here = before = load(guide[y], x)
+                known = none
+                if i > 0:
+                    y_before = y + 1 if side else y - 1
+                    known, before = load(measured[y_before], x), load(guide[y_before], x)
+                # the way begins anew behind a measured pixel
+                end, level = (
+                    at_most(known, known, known, end),
+                    at_most(known, known, before, level),
+                )
+                steps = at_most(known, known, zero, steps) + one
+                edge = larger(at_most(known, known, zero, edge), _size(here - before))
+                cost = distance * steps + contrast * _size(here - level) + steepness * edge
+                # none where nothing was measured on the way
+                cost = at_most(end, end, cost, far)
+                least, own = load(costs.least[y], x), load(costs.own[y], x)
+                off = _size(end - load(filled[y], x))
+                same = at_most(splat(SAME_SURFACE_PX), off, far, cost)
+                store(costs.own[y], x, smaller(own, same))
+                store(costs.value[y], x, at_most(least, cost, load(costs.value[y], x), end))
+                store(costs.least[y], x, smaller(least, cost))
 
 
 @kernel
 def take_cheaper(
+    measured: Array,
     costs: Costs,
     unexplained: Array,
     limits: tuple[float, float, float],
@@ -125,7 +138,10 @@ def take_cheaper(
     least, occluded, other = limits
     for y in range(start, stop):
         lowest, value, own, fill = costs.least[y], costs.value[y], costs.own[y], filled[y]
-        for x in range(fill.size):
-            factor = np.float32(other if unexplained[y, x] else occluded)
-            if own[x] > factor * lowest[x] + np.float32(least):
-                fill[x] = value[x]
+        begin, end = next_hole(measured[y], 0)
+        while begin < end:
+            for x in range(begin, end):
+                factor = np.float32(other if unexplained[y, x] else occluded)
+                if own[x] > factor * lowest[x] + np.float32(least):
+                    fill[x] = value[x]
+            begin, end = next_hole(measured[y], end)

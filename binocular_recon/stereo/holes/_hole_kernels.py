@@ -8,27 +8,35 @@ from typing import Any
 import numpy as np
 
 from binocular_recon._jit import Array, inline_kernel, kernel
+from binocular_recon._simd import LANES, at_most, first_equal, load, splat, to_int32
 
 _NAN = np.float32(np.nan)
-_AT_ONCE = 16  # pixels of a row that are searched together
 
 
 @inline_kernel
-def _next_hole(row: Array, x: int) -> tuple[int, int]:
+def is_missing(values: Any) -> Any:
+    """Return a vector of 1 where ``values`` are NaN, else 0."""
+    return to_int32(at_most(values, values, splat(np.float32(0)), splat(np.float32(1))))
+
+
+@inline_kernel
+def _first(row: Array, x: int, missing: bool) -> Any:
+    """Return the first column from ``x`` on that is NaN, or that is not."""
+    while x + LANES <= len(row):
+        lane = first_equal(is_missing(load(row, x)), np.int32(missing))
+        if lane < LANES:
+            return x + lane
+        x += LANES
+    while x < len(row) and np.isnan(row[x]) != missing:
+        x += 1
+    return x
+
+
+@inline_kernel
+def next_hole(row: Array, x: int) -> tuple[int, int]:
     """Return where the first run of NaN from column ``x`` on begins, and where it ends."""
-    while x + _AT_ONCE <= len(row):
-        total = np.float32(0)
-        for i in range(_AT_ONCE):
-            total += row[x + i]
-        if total != total:
-            break
-        x += _AT_ONCE
-    while x < len(row) and not np.isnan(row[x]):
-        x += 1
-    begin = x
-    while x < len(row) and np.isnan(row[x]):
-        x += 1
-    return begin, x
+    begin = _first(row, x, True)
+    return begin, _first(row, begin, False)
 
 
 @inline_kernel
@@ -90,7 +98,7 @@ def fill_background_strip(disparity: Array, filled: Array, start: int, stop: int
         row, x = disparity[y], 0
         filled[y] = row
         while x < width:
-            begin, end = _next_hole(row, x)
+            begin, end = next_hole(row, x)
             before, after = _ends(row, begin, end)
             before = after if np.isnan(before) else before
             after = before if np.isnan(after) else after
@@ -105,7 +113,7 @@ def fill_nearest_strip(measured: Array, filled: Array, start: int, stop: int) ->
     for y in range(start, stop):
         row, x = measured[y], 0
         while x < width:
-            begin, end = _next_hole(row, x)
+            begin, end = next_hole(row, x)
             filled[y, x:begin] = row[x:begin]
             before, after = _ends(row, begin, end)
             middle = (begin + end + 1) // 2 if end < width else end
@@ -122,7 +130,7 @@ def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, sto
     for y in range(start, stop):
         row, x = disparity[y], 0
         while x < width:
-            begin, end = _next_hole(row, x)
+            begin, end = next_hole(row, x)
             marks[y, x:begin] = False
             # the right camera does not see the first d columns, d the disparity, or the last -d
             before = row[begin - 1] if begin > 0 else zero
@@ -131,28 +139,35 @@ def mark_unexplained(disparity: Array, slack: int, marks: Array, start: int, sto
             x = end
 
 
+@inline_kernel
+def keep_nearest(row: Array, nearest: Array) -> None:
+    """Replace the nearest measured pixel of each column by that of this row, if there is one."""
+    for x in range(len(row)):
+        nearest[x] = nearest[x] if np.isnan(row[x]) else row[x]
+
+
+@inline_kernel
+def _raise_row(above: Array, below: Array, marks: Array, filled: Array) -> None:
+    for x in range(len(filled)):
+        # a comparison with NaN is false
+        end = below[x] if not above[x] <= below[x] else above[x]
+        end = end if end == end else above[x]
+        filled[x] = end if marks[x] & (end > filled[x]) else filled[x]
+
+
 @kernel
 def raise_to_columns(disparity: Array, marks: Array, filled: Array, start: int, stop: int) -> None:
     """Raise marked pixels to the smaller end of their hole along columns ``start`` to ``stop``."""
-    height = len(disparity)
+    height, columns = len(disparity), slice(start, stop)
     above = np.empty((height, stop - start), np.float32)
-    nearest = np.full(stop - start, np.float32(np.nan))
+    nearest = np.full(stop - start, _NAN)
     for y in range(height):
-        for i in range(nearest.size):
-            here = disparity[y, start + i]
-            nearest[i] = here if here == here else nearest[i]
-            above[y, i] = nearest[i]
-    nearest[:] = np.nan
+        keep_nearest(disparity[y, columns], nearest)
+        above[y] = nearest
+    nearest[:] = _NAN
     for y in range(height - 1, -1, -1):
-        for i in range(nearest.size):
-            here = disparity[y, start + i]
-            nearest[i] = here if here == here else nearest[i]
-        for i in range(nearest.size):
-            # a comparison with NaN is false
-            end = nearest[i] if not above[y, i] <= nearest[i] else above[y, i]
-            end = end if end == end else above[y, i]
-            if marks[y, start + i] and end > filled[y, start + i]:
-                filled[y, start + i] = end
+        keep_nearest(disparity[y, columns], nearest)
+        _raise_row(above[y], nearest, marks[y, columns], filled[y, columns])
 
 
 @kernel

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from binocular_recon._jit import over_strips
+from binocular_recon._simd import LANES
 from binocular_recon.images import FloatImage, Mask
 from binocular_recon.stereo.holes._choice_kernels import (
     Costs,
@@ -49,10 +50,10 @@ def follow_image(
     deviation = float(cv2.meanStdDev(guide, mask=known.view(np.uint8))[1].item())
     scale = np.float32(CONTRAST / deviation if deviation > 0 else 1)
     levels = cv2.GaussianBlur(np.where(known, guide, 0) * scale, (3, 3), 0.8)
-    shape = measured_px.shape
-    costs = Costs(*(np.empty(shape, np.float32) for _ in Costs._fields))
-    images = measured_px, filled_px, np.asarray(levels, np.float32), costs
-    over_strips(compare_ends_of_rows, shape[0], *images)
-    over_strips(compare_ends_of_columns, shape[1], *images, strip=128)
+    (height, width), images = measured_px.shape, (measured_px, filled_px, levels)
+    costs = Costs(*(np.empty((height, width + LANES), np.float32) for _ in Costs._fields))
+    over_strips(compare_ends_of_rows, height, *images, costs)
+    wide = (cv2.copyMakeBorder(image, 0, 0, 0, LANES, cv2.BORDER_CONSTANT) for image in images)
+    over_strips(compare_ends_of_columns, width, *wide, costs, strip=128)
     limits = LEAST, OCCLUDED, UNEXPLAINED
-    over_strips(take_cheaper, shape[0], costs, unexplained, limits, filled_px)
+    over_strips(take_cheaper, height, measured_px, costs, unexplained, limits, filled_px)

@@ -115,6 +115,7 @@ def fill_from_nearest(disparity_px: FloatImage) -> FloatImage:
 
 
 def _filled_rows(fill_strip: Callable[..., None], disparity_px: FloatImage) -> FloatImage:
+    disparity_px = np.ascontiguousarray(disparity_px)
     filled = np.empty_like(disparity_px)
     over_strips(fill_strip, len(filled), disparity_px, filled)
     copy_nearest_rows(filled, empty=np.isnan(filled[:, 0]))
@@ -145,7 +146,7 @@ def unexplained_holes(disparity_px: FloatImage) -> Mask:
 
     """
     unexplained = np.empty(disparity_px.shape, np.bool_)
-    rows = len(unexplained)
+    rows, disparity_px = len(unexplained), np.ascontiguousarray(disparity_px)
     over_strips(mark_unexplained, rows, disparity_px, OCCLUSION_SLACK_PX, unexplained)
     return unexplained
 
@@ -168,8 +169,7 @@ def _extrapolate(measured_px: FloatImage, filled_px: FloatImage) -> None:
     slope = median_filter(slopes, SLOPE_ROWS)
     spread = 1.48 * median_filter(np.abs(slopes - slope), SLOPE_ROWS)
     slope *= 1 - np.minimum(spread / np.maximum(np.abs(slope), 1e-6), 1) ** 2
-    # fmin and fmax ignore NaN
-    limits = np.array([limit.reduce(measured_px, axis=None) for limit in (np.fmin, np.fmax)])
+    limits = np.array([filled_px.min(), filled_px.max()])  # those of what was measured
     continue_slopes(rows, first[rows], start[rows], slope, limits, filled_px)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from binocular_recon._jit import limit_threads
+from binocular_recon._simd import LANES
 from binocular_recon.config import MatchConfig
 from binocular_recon.images import FloatImage
 from binocular_recon.stereo.confidence import SIGMA_UNIT_PX, confidence_from_sigma
@@ -113,12 +114,16 @@ def test_costs_of_candidates_equal_the_naive_twin() -> None:
     measured[5:20, 10:40] = np.nan
     measured[:, 140:] = np.nan
     guide = rng.uniform(0, 255, measured.shape).astype(np.float32)
+    measured[:, 60:90] = 15 + SAME_SURFACE_PX  # another surface, by no more than that
+    measured[10:30, 70:80] = np.nan
     filled = np.where(np.isnan(measured), np.float32(15), measured)
-    shape, none = measured.shape, np.float32(np.inf)
-    costs = Costs(np.full(shape, none), np.empty(shape, np.float32), np.full(shape, none))
-    compare_ends_of_rows(measured, filled, guide, costs, 0, shape[0])
+    height, width = measured.shape
+    costs = Costs(*np.zeros((3, height, width + LANES), np.float32))
+    compare_ends_of_rows(measured, filled, guide, costs, 0, height)
+    wide = ((0, 0), (0, LANES))
+    images = np.pad(measured, wide), np.pad(filled, wide), np.pad(guide, wide)
     for start in (0, 128):
-        compare_ends_of_columns(measured, filled, guide, costs, start, min(start + 128, shape[1]))
+        compare_ends_of_columns(*images, costs, start, min(start + 128, width))
     for y, x in np.argwhere(np.isnan(measured)):
         found = candidates(measured, guide, y, x)
         near = [cost for cost, value in found if abs(value - filled[y, x]) < SAME_SURFACE_PX]
