@@ -14,6 +14,7 @@ from binocular_recon.measurement.picks import Pick
 from binocular_recon.measurement.robust_fits import refined_fit
 from binocular_recon.measurement.uncertain import Uncertain
 from binocular_recon.number_text import significant
+from binocular_recon.stereo.filtering.wls_filter import sigma_if_right
 from binocular_recon.stereo.row_check import MOST_ROWS_PX
 from binocular_recon.stereo.validity import Validity
 
@@ -32,9 +33,6 @@ STEP_PX = 1.0
 LEAST_SHARE = 0.35
 # A point agrees with the surface within about this, px of disparity.
 SCATTER_PX = 0.3
-# The filter's sigma is that of well matched pixels; among all that picks meet, more are odd. With
-# this factor errors of lengths are beyond 3 sigma as rarely as of a normal distribution.
-MATCHING_FACTOR = 1.2
 # The rows of picks in both images agree within this.
 MOST_PICKED_ROWS_PX = 2 * MOST_ROWS_PX
 _REASONS = (
@@ -136,7 +134,9 @@ def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
     # odd pixels count as little here as in the plane: what they are off is not its error
     off = disparity - design @ plane
     misfit = np.sqrt(np.average(off**2, weights=weight / (1 + (off / SCATTER_PX) ** 2) ** 2))
-    error_px = MATCHING_FACTOR * np.hypot(np.average(sigma, weights=weight), misfit)
+    # Windows of matching overlap: errors of the pixels are common to them, and do not average out.
+    # But these pixels agree, so that they are not wrong altogether.
+    error_px = np.hypot(np.average(sigma_if_right(sigma), weights=weight), misfit)
     return Surface(float(plane[0]), plane[1:], float(error_px))
 
 

@@ -50,6 +50,8 @@ HOW_MEASURED = (
     'A pixel is bad if its error exceeds the limit or if it has no disparity; in the mean error,'
     ' a pixel without disparity counts as disparity 0. Times are medians of interleaved runs.'
 )
+# Smaller steps of a ground truth add less than 0.03 px to sigma.
+LEAST_NAMED_STEP_PX = 0.1
 PADDED = 'Images for OpenCV are padded on the left, so that it too can fill every pixel.'
 NO_XIMGPROC = ximgproc_note('the rows with its WLS filter are missing', 'evaluate')
 
@@ -240,11 +242,17 @@ def _notes(evaluated: Evaluated, scene_count: int) -> list[str]:
     derived = [scene.scene for scene in scenes if scene.visible_source == 'ground truth']
     unknown = [scene.scene for scene in scenes if not scene.visible_source]
     metric = [scene.scene for scene in scenes if scene.scores[0].depth]
+    steps = [
+        f'{scene.truth_step_px:g} px ({scene.scene})'
+        for scene in scenes
+        if scene.truth_step_px >= LEAST_NAMED_STEP_PX
+    ]
     failed = list(evaluated.failures.errors)
     for scene_names, text in (
         (derived, 'Occlusions are derived from the ground truth in {}.'),
         (unknown, 'Occlusions are not known in {}.'),
         (metric, 'Depth errors are means over {}.'),
+        (steps, 'Sigma holds the rounding of the ground truth, to steps of {}.'),
         (failed, f'Not evaluated ({len(failed)} of {scene_count}): {{}}.'),
     ):
         if scene_names:

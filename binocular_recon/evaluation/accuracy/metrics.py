@@ -19,6 +19,8 @@ BAD_THRESHOLDS_PX = (1.0, 2.0, 3.0)
 DEPTH_BANDS_M = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 50.0))
 # Beyond this error a pixel is a mismatch, about which a standard deviation says nothing.
 MISMATCH_PX = 1.0
+# A ground truth may be rounded to steps of up to a pixel; fewer distinct values do not tell.
+LARGEST_STEP_PX, LEAST_STEP_PX, LEAST_VALUES = 1.0, 1e-3, 16
 SIGMA_EDGES_PX = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0, np.inf)
 
 
@@ -189,6 +191,34 @@ def depth_errors(
         bias = float(np.median(found)) if found.size else float('nan')
         result.append(DepthError(near, far, error.size, float(median), float(p90), bias))
     return result
+
+
+def truth_step_px(truth_px: FloatImage) -> float:
+    """Return the step to which a ground truth is rounded, px; 0 if it is not.
+
+    The smallest difference of its distinct values. Those that were scaled after rounding are in
+    steps of a fraction of a pixel.
+
+    Parameters
+    ----------
+    truth_px : (H, W) float32
+        Ground truth; NaN = unknown.
+
+    """
+    values = np.unique(truth_px[np.isfinite(truth_px)].astype(np.float64))
+    steps = np.diff(values)
+    if len(values) < LEAST_VALUES or steps.min() < LEAST_STEP_PX:
+        return 0.0
+    step = float(steps.min())
+    return step if step <= LARGEST_STEP_PX else 0.0
+
+
+def sigma_against(sigma_px: FloatImage, step_px: float) -> FloatImage:
+    """Return one standard deviation of an estimate less a truth that is rounded to steps, px.
+
+    The rounding is uniform within half a step: it adds a variance of ``step_px**2 / 12``.
+    """
+    return np.hypot(sigma_px, np.float32(step_px / 12**0.5))
 
 
 def normalised_error_rms(

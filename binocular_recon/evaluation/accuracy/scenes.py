@@ -8,12 +8,14 @@ image's pixels) may say what is occluded.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from binocular_recon.errors import FileError, ImageError
+from binocular_recon.evaluation.accuracy.metrics import truth_step_px
 from binocular_recon.evaluation.accuracy.visibility import visible_from_both, visible_from_truth
 from binocular_recon.images import FloatImage, Image, Mask
 from binocular_recon.io.image_files import read_image_file
@@ -63,6 +65,11 @@ class TruthScene:
     focal_px: float | None = None
     baseline_m: float | None = None
     offset_px: float = 0.0
+
+    @cached_property
+    def truth_step_px(self) -> float:
+        """Step to which the ground truth is rounded, px; 0 if it is not."""
+        return truth_step_px(self.truth_px)
 
     @property
     def focal_baseline(self) -> float | None:

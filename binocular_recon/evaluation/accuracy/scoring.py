@@ -24,6 +24,7 @@ from binocular_recon.evaluation.accuracy.metrics import (
     depth_errors,
     depth_from_disparity,
     normalised_error_rms,
+    sigma_against,
     sigma_bins,
 )
 from binocular_recon.evaluation.accuracy.parts import Part, parts
@@ -89,6 +90,8 @@ class SceneScores:
         Number of disparities searched.
     truth_percent : float
         Share of pixels with ground truth.
+    truth_step_px : float
+        Step to which the ground truth is rounded; its variance is added to that of sigma.
     visible_source : str
         Where visibility is known from: `TruthScene.visible_source`.
     scores : tuple of Score
@@ -104,6 +107,7 @@ class SceneScores:
     height: int
     max_disparity_px: int
     truth_percent: float
+    truth_step_px: float
     visible_source: str
     scores: tuple[Score, ...]
     failures: dict[str, str]
@@ -210,6 +214,7 @@ def evaluate_scene(scene: TruthScene, methods: list[Method], repeat: int = 3) ->
         height,
         scene.max_disparity_px,
         100.0 * float(np.isfinite(scene.truth_px).mean()),
+        scene.truth_step_px,
         scene.visible_source,
         scores,
         failures,
@@ -233,10 +238,11 @@ def score(
             for values in (disparity_px, truth_px)
         )
         depth = depth_errors(estimated, true)
-    sigma_rms, sigma = None, []
-    if estimate.sigma_px is not None:
-        sigma_rms = normalised_error_rms(disparity_px, estimate.sigma_px, truth_px, visible)
-        sigma = sigma_bins(disparity_px, estimate.sigma_px, truth_px, visible)
+    sigma_px, sigma_rms, sigma = estimate.sigma_px, None, []
+    if sigma_px is not None:
+        sigma_px = sigma_against(sigma_px, scene.truth_step_px)
+        sigma_rms = normalised_error_rms(disparity_px, sigma_px, truth_px, visible)
+        sigma = sigma_bins(disparity_px, sigma_px, truth_px, visible)
     return Score(
         method=method.name,
         ours=method.ours,
@@ -247,7 +253,7 @@ def score(
         depth=tuple(depth),
         sigma_rms=sigma_rms,
         sigma=tuple(sigma),
-        parts=parts(disparity_px, estimate.sigma_px, estimate.measured, truth_px),
+        parts=parts(disparity_px, sigma_px, estimate.measured, truth_px),
         classes=() if classes is None else class_errors(classes, disparity_px, truth_px),
     )
 

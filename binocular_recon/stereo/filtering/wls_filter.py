@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from binocular_recon._jit import over_strips
+from binocular_recon.camera import FloatArray
 from binocular_recon.config import FilterConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
@@ -190,6 +191,24 @@ def filter_disparity(
     return wls(
         disparity_px, confidence, guide, limits_px=limits_px, reasons=reasons, initial=initial
     )
+
+
+def sigma_if_right(sigma_px: FloatArray) -> FloatArray:
+    """Return the sigma of matches of which it is known that they are not wrong altogether, px.
+
+    The variance of a match is v + `MISMATCHED` v^3, where the second term stands for mismatches;
+    this is the root of v.
+
+    Parameters
+    ----------
+    sigma_px : (...) float64
+        As `Filtered.sigma_px` has it, of measured pixels.
+
+    """
+    scale = np.sqrt(3 * float(kernels.MISMATCHED))
+    # the real solution of the cubic equation, by hyperbolic functions
+    variance = 2 / scale * np.sinh(np.arcsinh(1.5 * scale * sigma_px**2) / 3)
+    return np.asarray(np.sqrt(variance), np.float64)
 
 
 def _measured(

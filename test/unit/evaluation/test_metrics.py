@@ -13,7 +13,9 @@ from binocular_recon.evaluation.accuracy.metrics import (
     depth_errors,
     depth_from_disparity,
     normalised_error_rms,
+    sigma_against,
     sigma_bins,
+    truth_step_px,
 )
 from binocular_recon.evaluation.accuracy.visibility import visible_from_truth
 from binocular_recon.images import FloatImage
@@ -117,6 +119,31 @@ def test_sigma_of_hand_made_errors() -> None:
     expected = math.sqrt((1 + 0.64) / 2)
     assert normalised_error_rms(estimate, sigma, truth, mask) == pytest.approx(expected, rel=1e-6)
     assert math.isnan(normalised_error_rms(estimate, sigma, truth, ~mask & (estimate > 4)))
+
+
+@pytest.mark.parametrize(
+    ('rounded_to', 'offset', 'found'), [(1.0, 0, 1.0), (0.25, 0.1, 0.25), (0.3, 0, 0.3)]
+)
+def test_the_rounding_of_the_truth_is_found_and_covered(
+    rounded_to: float, offset: float, found: float
+) -> None:
+    random = np.random.default_rng(4)
+    exact = random.uniform(20, 60, (80, 90))
+    truth = (np.rint(exact / rounded_to) * rounded_to + offset).astype(np.float32)
+    truth[0, :5] = NAN
+    assert truth_step_px(truth) == pytest.approx(found, abs=1e-4)
+    sigma = np.full(truth.shape, 0.15, np.float32)
+    estimate = (exact + offset + random.normal(0, 0.15, exact.shape)).astype(np.float32)
+    rms = normalised_error_rms(estimate, sigma_against(sigma, truth_step_px(truth)), truth)
+    assert rms == pytest.approx(1, abs=0.03)
+
+
+def test_truth_that_is_not_rounded_has_no_step() -> None:
+    exact = np.random.default_rng(4).uniform(20, 60, (80, 90)).astype(np.float32)
+    assert truth_step_px(exact) == 0
+    assert truth_step_px(TRUTH) == 0  # too few values to tell
+    assert truth_step_px(np.arange(20, dtype=np.float32)[None] * 3) == 0  # of the scene
+    assert truth_step_px(np.full((2, 4), NAN, np.float32)) == 0
 
 
 def test_sigma_bins_by_hand() -> None:

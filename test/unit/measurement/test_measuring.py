@@ -142,6 +142,26 @@ def test_a_pick_on_an_outline_is_on_the_nearer_thing(site: MeasuredSite) -> None
     assert found.disparity_px == pytest.approx(30.0, abs=0.05)
 
 
+def test_a_surface_is_off_by_what_its_pixels_are_off_if_right(site: MeasuredSite) -> None:
+    """Errors of a window have one sign; the share of mismatches in sigma is not in its surface."""
+    tile, (down, across) = 18, (10, 13)
+    rows, columns = np.mgrid[: tile * down, : tile * across]
+    right = np.where((rows + columns) % 2, 0.25, 0.55)
+    sign = np.random.default_rng(6).standard_normal((down, across)).clip(-1.5, 1.5)
+    frame = flat_frame(site.frame, 30.0)
+    window = np.s_[: tile * down, : tile * across]
+    frame.disparity_px[window] += (np.kron(sign, np.ones((tile, tile))) * right).astype(np.float32)
+    frame = replace(frame, sigma_px=frame.sigma_px.copy())
+    frame.sigma_px[window] = np.sqrt(right**2 + right**6 / 0.45**4)
+    middles = (np.indices((across, down)).reshape(2, -1).T + 0.5) * tile
+    found = [surface_at(frame, Pick('A', middle)) for middle in middles]
+    stated = np.array([one.sigma_px for one in found])
+    off = np.array([one.disparity_px for one in found]) - 30.0
+    assert np.corrcoef(off.reshape(across, down).T.ravel(), sign.ravel())[0, 1] > 0.98
+    assert stated.min() > 0.35 and stated.max() < 0.55
+    assert 0.8 < np.sqrt(np.mean((off / stated) ** 2)) / np.std(sign) < 1.1
+
+
 def flat_frame(frame: MeasuredFrame, disparity: float) -> MeasuredFrame:
     return replace(
         frame,

@@ -11,6 +11,7 @@ from binocular_recon.errors import ImageError
 from binocular_recon.stereo.confidence import confidence_from_sigma
 from binocular_recon.stereo.filtering.wls_filter import (
     LEAST_SIGMA_PX,
+    sigma_if_right,
 )
 from test.unit.stereo.filter_scene import NAN, run
 
@@ -52,6 +53,11 @@ def test_a_hole_between_far_and_near_is_less_certain() -> None:
     even = run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25]
     disparity[:, 30:] = 30
     assert run(disparity, ones, guide, FilterConfig()).sigma_px[15, 25] > even + 2
+
+
+def test_sigma_of_a_match_that_is_right_leaves_out_the_share_of_mismatches() -> None:
+    right = np.array([0.01, 0.2, 0.45, 0.6, 2.0])
+    np.testing.assert_allclose(sigma_if_right(np.sqrt(right**2 + right**6 / 0.45**4)), right)
 
 
 def test_nothing_to_filter() -> None:
