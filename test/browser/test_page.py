@@ -105,6 +105,7 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         assert other.value(VALUES) == [value]
         # zoomed in, a click picks finer
         x, y = place(other, [100.0, 120.0])
+        other.front()
         for _ in range(6):
             other.wheel(x, y, -400)
         other.click(x, y)
@@ -112,6 +113,7 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         other.press('z', control=True)
         tab.wait_for(f'{NAMES}.length === 2')
         # in the cloud, until a click meets a point
+        tab.front()
         left, top, _, _ = box(tab, '[data-name=point]')
         tab.click(left + 20, top + 10)
         tab.wait_for("document.querySelector('[data-name=point]').ariaChecked === 'true'")
