@@ -83,11 +83,11 @@ class Tab:
         elif what == 'Log.entryAdded' and facts['entry']['level'] == 'error':
             self.errors.append(facts['entry']['text'])
 
-    def open(self, address: str, size: tuple[int, int] = (1500, 640)) -> None:
-        """Open an address."""
+    def open(self, address: str, size: tuple[int, int] = (1500, 640), scale: float = 1.0) -> None:
+        """Open an address in a tab of ``size`` CSS px; ``scale`` of the screen's pixels for one."""
         self.do(
             'Emulation.setDeviceMetricsOverride', width=size[0], height=size[1],
-            deviceScaleFactor=1, mobile=False,
+            deviceScaleFactor=scale, mobile=False,
         )  # fmt: skip
         self.do('Page.navigate', url=address)
 
