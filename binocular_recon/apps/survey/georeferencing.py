@@ -87,8 +87,8 @@ def level_folder(
     else:
         if not picks or len(picks) % 2:
             raise MeasurementError(
-                f'{len(picks)} picks are no pairs; pick both ends of each upright thing, one after'
-                ' the other'
+                f'{by} need pairs of picks, but there are {len(picks)}; pick both ends of each'
+                ' upright thing, one after the other'
             )
         session = open_session(folder, list(picks.values()), pick_sigma_px)
         tie = _by_uprights(session, list(picks), by)

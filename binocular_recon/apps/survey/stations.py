@@ -110,7 +110,7 @@ def merge_stations(
     Raises
     ------
     ConfigError
-        If a format is not one of clouds.
+        If a format is not one of clouds, or a station is given twice.
     MeasurementError
         If a station has no frame or several, or the stations cannot be tied together.
     FileError
@@ -124,8 +124,12 @@ def merge_stations(
                 f' {name!r}'
             )
     specs = formats_named(['ply', *formats])
+    known: set[Path] = set()
     for folder in folders:
         _check(folder, output)
+        if (place := folder.folder.resolve()) in known:
+            raise ConfigError(f'{folder.folder} is given twice; give each station once')
+        known.add(place)
     stations = _placed(folders)
     claim = ClaimedFolder(output)
     try:

@@ -284,6 +284,9 @@ def test_stations_that_cannot_be_joined(
         merge_stations([stations[0], several], tmp_path / 'out', 0.05)
     with pytest.raises(ConfigError, match='holds what the result is made of'):
         merge_stations(stations, stations[1].folder, 0.05)
+    again = MeasuredFolder(stations[0].folder / '..' / stations[0].folder.name)
+    with pytest.raises(ConfigError, match='is given twice'):
+        merge_stations([*stations, again], tmp_path / 'out', 0.05)
     with pytest.raises(ConfigError, match='must be among ply'):
         merge_stations(stations, tmp_path / 'out', 0.05, formats=['tiff'])
     monkeypatch.setitem(sys.modules, 'small_gicp', None)

@@ -23,8 +23,7 @@ from binocular_recon.drawing.page import cards, section, table
 from binocular_recon.errors import BinocularReconError, ConfigError
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.exports.point_table import PointTable
-from binocular_recon.measurement.check_distance import CHECK_FILE
-from binocular_recon.measurement.results import MEASUREMENTS_FILE
+from binocular_recon.measurement.results import CHECK_FILE, MEASUREMENTS_FILE
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.number_text import fixed, plain, significant
 

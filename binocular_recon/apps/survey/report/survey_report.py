@@ -19,8 +19,7 @@ from binocular_recon.apps.survey.report.whole_page import checked, notes, page_a
 from binocular_recon.apps.survey.stations_folder import is_of_stations
 from binocular_recon.drawing.page import cards
 from binocular_recon.io.files import complete_file
-from binocular_recon.measurement.check_distance import CHECK_FILE
-from binocular_recon.measurement.results import MEASUREMENTS_FILE
+from binocular_recon.measurement.results import CHECK_FILE, MEASUREMENTS_FILE
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.number_text import fixed
 
