@@ -84,7 +84,7 @@ class Tab:
             self.errors.append(facts['entry']['text'])
 
     def open(self, address: str, size: tuple[int, int] = (1500, 640), scale: float = 1.0) -> None:
-        """Open an address in a tab of ``size`` CSS px; ``scale`` of the screen's pixels for one."""
+        """Open an address in a tab of ``size`` CSS px, of ``scale`` pixels of the screen each."""
         self.do(
             'Emulation.setDeviceMetricsOverride', width=size[0], height=size[1],
             deviceScaleFactor=scale, mobile=False,
