@@ -253,18 +253,20 @@ def test_the_report_of_tied_stations_shows_control_points_in_the_frame_of_the_si
     stations: list[MeasuredFolder], tmp_path: Path
 ) -> None:
     folders = []
+    there, moved = tmp_path / 'there', tmp_path / 'moved'
     for number in (0, 1):
-        shutil.copytree(stations[number].folder, tmp_path / f'station{number}')
-        folders.append(MeasuredFolder(tmp_path / f'station{number}'))
+        shutil.copytree(stations[number].folder, there / f'station{number}')
+        folders.append(MeasuredFolder(there / f'station{number}'))
         georeferenced(folders[-1], number)
         path = folders[-1].folder / 'georeference.json'
         tie = json.loads(path.read_text())
         one = {'name': 'K7', 'check': False, 'place': [1.25, 2.5, 3.75]}
         residual = {'residual_m': [0.0031, -0.002, 0.001], 'residual_sigma_m': [0.004] * 3}
         path.write_text(json.dumps({**tie, 'points': [one | residual]}))
-    merge_stations(folders, tmp_path / 'site', 0.1)
-    assert main(['report', str(tmp_path / 'site')]) == 0
-    html = (tmp_path / 'site' / 'report.html').read_text()
+    merge_stations(folders, there / 'site', 0.1)
+    there.rename(moved)  # stations are found beside the cloud, too
+    assert main(['report', str(moved / 'site')]) == 0
+    html = (moved / 'site' / 'report.html').read_text()
     for words in ('station0: Control and check points', 'station1: Control and check points',
                   '+3.1 ± 4.0', 'frame of the site: X, Y, Z, metres, level',
                   '299998.800 ± 0.0020'):  # fmt: skip

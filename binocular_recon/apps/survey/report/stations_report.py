@@ -68,10 +68,14 @@ class _Stations:
         found: list[ReportSources | None] = []
         for name, entry in zip(self.names, self.entries, strict=True):
             folder = Path(str(entry['folder']))
+            if not folder.exists():  # all may have been moved together
+                folder = self.folder.resolve().parent / folder.name
             try:
                 found.append(ReportSources(MeasuredFolder(folder), self.details))
             except BinocularReconError:
-                self.missing.append(f'images and control points of {name}: {folder} is not there')
+                self.missing.append(
+                    f'images and control points of {name}: {entry["folder"]} is not there'
+                )
                 found.append(None)
         return found
 
