@@ -63,18 +63,49 @@ def draw_cloud(
         BGR.
 
     """
+    drawn = np.isfinite(points_xyz).all(axis=-1) & ~_borders(points_xyz[..., 2])
+    points = points_xyz[drawn]
+    gaps_m = _pixel_angle(points_xyz) * points[:, 2] if len(points) else points[:, 2]
+    return draw_points(points, bgr[drawn], gaps_m, size, view)
+
+
+def draw_points(
+    points_xyz: FloatImage,
+    bgr: ByteImage,
+    gaps_m: FloatImage,
+    size: tuple[int, int],
+    view: CloudView | None = None,
+) -> ByteImage:
+    """Draw points (N, 3) in the axes of a camera, as `draw_cloud` does those of an image.
+
+    Parameters
+    ----------
+    points_xyz : (N, 3) float32
+        x right, y down, z forward, m.
+    bgr : (N, 3) uint8
+        Their colours.
+    gaps_m : (N,) float32
+        Distance of each point to its neighbours, m.
+    size : (int, int)
+        Width and height of the image.
+    view : CloudView, optional
+        From where.
+
+    Returns
+    -------
+    image : (height, width, 3) uint8
+        BGR.
+
+    """
     width, height = (side * _OVERSAMPLING for side in size)
     canvas = np.full((height, width, 3), _BACKGROUND, np.uint8)
-    drawn = np.isfinite(points_xyz).all(axis=-1) & ~_borders(points_xyz[..., 2])
-    if drawn.any():
-        points, colours = points_xyz[drawn], bgr[drawn]
-        seen = _turned(points, view or CloudView())
+    if len(points_xyz):
+        seen = _turned(points_xyz, view or CloudView())
         in_front = seen[:, 2] > 0.05 * np.median(seen[:, 2])
-        points, seen, colours = points[in_front], seen[in_front], colours[in_front]
+        seen, colours, gaps_m = seen[in_front], bgr[in_front], gaps_m[in_front]
         x, y, focal = _fitted(seen, width, height)
-        # a square as large as the gap between points of neighbouring pixels, and no gap is seen
-        gaps = focal * _pixel_angle(points_xyz) * points[:, 2] / seen[:, 2]
-        sides = np.clip(np.ceil(1.5 * gaps), 1, 9).astype(int)
+        # a square as large as the gap between neighbouring points, and no gap is seen
+        sides = np.clip(np.ceil(1.5 * focal * gaps_m / seen[:, 2]), 1, 9).astype(int)
         _splat(canvas, x, y, seen[:, 2], sides, colours)
     return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.uint8)
 

@@ -34,7 +34,6 @@ from binocular_recon.stereo.rectification import rectified_points
 
 # One standard deviation of marks in raw images on each axis, px: of detected ones, and of picks.
 DETECTED_SIGMA_PX, PICKED_SIGMA_PX = 0.12, 0.3
-CHECK_FILE = 'check.json'
 # How exactly known lengths are known: a share of them (tapes), and m (edges).
 KNOWN_SHARE, KNOWN_SIGMA_M = 0.0005, 0.0005
 

@@ -161,6 +161,11 @@ def table_rows(path: Path, columns: Sequence[str]) -> list[tuple[str, dict[str, 
         names = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = names
         missing = [name for name in columns if name not in names]
+        if missing and any(';' in name for name in names):
+            raise MeasurementError(
+                f'{path} has semicolons between its columns; save it with commas between them and'
+                f' points in numbers: {",".join(columns)}'
+            )
         if missing:
             raise MeasurementError(
                 f'{path} lacks the columns {", ".join(missing)}; its first line must name'

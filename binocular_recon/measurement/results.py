@@ -17,6 +17,8 @@ from binocular_recon.measurement.uncertain import Uncertain
 from binocular_recon.number_text import fixed
 
 MEASUREMENTS_FILE = 'measurements.json'
+# What was found of check distances, beside them.
+CHECK_FILE = 'check.json'
 # Decimals of each unit, for people.
 _DECIMALS = {'m': 3, 'm2': 3, 'deg': 2, '': 4}
 

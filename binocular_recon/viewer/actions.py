@@ -13,7 +13,7 @@ import numpy as np
 from binocular_recon.errors import BinocularReconError, ConfigError, MeasurementError, shortened
 from binocular_recon.io.text_files import number, whole_number
 from binocular_recon.measurement.kinds import KINDS
-from binocular_recon.measurement.picks import Request, holds_requests
+from binocular_recon.measurement.picks import Pick, Request, holds_requests
 from binocular_recon.measurement.results import Measurement
 from binocular_recon.stereo.point_covariance import sigma_shares
 from binocular_recon.viewer.coloured_frame import COLOURS
@@ -98,7 +98,9 @@ def _probe(view: SharedView, fields: Fields) -> dict[str, str]:
 
 # What a page may ask for.
 ACTIONS: dict[str, Callable[[SharedView, Fields], object]] = {
-    'click': lambda view, fields: view.click(*_pixel(fields)),
+    'click': lambda view, fields: view.click(*_pixel(fields), both=fields.get('both') is True),
+    'click_right': lambda view, fields: view.click_right(*_pixel(fields)),
+    'await_right': lambda view, fields: view.await_right(str(fields.get('name'))),
     'take': lambda view, fields: view.take(str(fields.get('name'))),
     'finish': lambda view, _: view.finish(),
     'cancel': lambda view, _: view.cancel(),
@@ -121,6 +123,7 @@ def _state(view: SharedView) -> dict[str, Any]:
     depths = depths[np.isfinite(depths)]
     width, height = view.frame.size
     calibrated = view.frame.rig.covariance is not None
+    has_right = view.folder.has_right(shown.frame) and not view.frame.rig.turns
     return {
         'revision': view.revision,
         'folder': str(view.folder.folder.resolve()),
@@ -135,13 +138,15 @@ def _state(view: SharedView) -> dict[str, Any]:
         },
         'kind': view.kind,
         'chosen': board.marks.chosen,
+        'awaited': None if view.awaited is None else _pick(view.awaited),
         'colours': {name: colour.text for name, colour in COLOURS.items()},
         'shown': {
             'frame': shown.frame,
             'colour': shown.colour,
             'near_m': shown.near_m,
             'far_m': None if math.isinf(shown.far_m) else shown.far_m,
-            'image': f'image.png?{view.image_revision}',
+            'left': f'left.png?{view.image_revision}',
+            'right': f'right.png?{view.image_revision}' if has_right else None,
             'size': [width, height],
             'depth_m': [float(depths.min()), float(depths.max())] if depths.size else None,
             'legend': displayed.legend._asdict(),
@@ -152,10 +157,7 @@ def _state(view: SharedView) -> dict[str, Any]:
         'sigma': sigma_shares(calibrated),
         'picks': [
             {
-                'name': pick.name,
-                'frame': pick.frame,
-                'u': float(pick.pixel[0]),
-                'v': float(pick.pixel[1]),
+                **_pick(pick),
                 **_measurement(view, default_request('point', (pick.name,))),
             }
             for pick in board.marks.picks.values()
@@ -170,6 +172,14 @@ def _state(view: SharedView) -> dict[str, Any]:
             for one in board.marks.requests
         ],
     }
+
+
+def _pick(pick: Pick) -> dict[str, Any]:
+    """Return where a pick is: its pixels of the left and, if it is known, the right image."""
+    right = None if pick.right is None else pick.right.tolist()
+    return {
+        'name': pick.name, 'frame': pick.frame, 'left': pick.pixel.tolist(), 'right': right
+    }  # fmt: skip
 
 
 def _measurement(view: SharedView, request: Request) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from binocular_recon.errors import MeasurementError
 from binocular_recon.images import ByteImage, FloatImage, Mask
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.planes import normal_of
+from binocular_recon.measurement.session import MeasuringSession
 from binocular_recon.stereo.triangulation import triangulate
 from binocular_recon.stereo.validity import Validity
 
@@ -167,6 +169,26 @@ class ColouredFrame:
         first = met[along[met] <= (1 + _SAME_DEPTH) * along[met].min()]
         index = first[np.argmin(aside[first])]
         return np.array([columns[index], rows[index]], np.float64)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is shown: a frame, a key of `COLOURS`, and the cloud between two depths."""
+
+    frame: int = 0
+    colour: str = 'image'
+    near_m: float = 0.0
+    far_m: float = math.inf
+
+
+def coloured(session: MeasuringSession, shown: Shown, most_points: int) -> ColouredFrame:
+    """Return what is shown; raises a FileError or CalibrationError if it cannot be read."""
+    ground = None
+    with suppress(MeasurementError):
+        if shown.colour == 'height':
+            ground = session.ground(shown.frame).support.values
+    crop_m = shown.near_m, shown.far_m
+    return ColouredFrame(session.frame(shown.frame), shown.colour, ground, crop_m, most_points)
 
 
 def _image(shown: ColouredFrame) -> tuple[ByteImage, Legend]:

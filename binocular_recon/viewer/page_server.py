@@ -17,7 +17,7 @@ from typing import Any
 
 import cv2
 
-from binocular_recon.errors import ConfigError, DependencyError
+from binocular_recon.errors import BinocularReconError, ConfigError, DependencyError
 from binocular_recon.machine import optional_package
 from binocular_recon.viewer.actions import answer, state_of
 from binocular_recon.viewer.guard import Guard, safe_headers
@@ -34,6 +34,7 @@ _FILES = {
 }
 _PURPOSE = 'pages to look and click'
 _SESSION, _CLOUD = 'session', 'cloud'
+_IMAGES = 'left.png', 'right.png'
 _Handler = Callable[[Any], Awaitable[None]]
 
 
@@ -135,8 +136,10 @@ class PageServer:
             for name, value in safe_headers(of_viser=True).items():
                 page.headers[name] = value
             return page
-        elif path == 'image.png':
-            return self._response(HTTPStatus.OK, await asyncio.to_thread(self._image), 'image/png')
+        elif path in _IMAGES:
+            image = await asyncio.to_thread(self._image, path)
+            if image is not None:
+                return self._response(HTTPStatus.OK, image, 'image/png')
         elif path in _FILES:
             name, kind = _FILES[path]
             return self._response(HTTPStatus.OK, _page_file(name), kind)
@@ -160,9 +163,16 @@ class PageServer:
         finally:
             self._pages.discard(connection)
 
-    def _image(self) -> bytes:
+    def _image(self, path: str) -> bytes | None:
+        view = self.view
+        image = view.displayed.image
+        if path == _IMAGES[1]:
+            try:
+                image = view.folder.right_bgr(view.shown.frame)
+            except BinocularReconError:  # it was not kept, or is gone
+                return None
         options = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-        return bytes(cv2.imencode('.png', self.view.displayed.image, options)[1])
+        return bytes(cv2.imencode('.png', image, options)[1])
 
     def _send_state(self) -> None:
         self._send_text(state_of(self.view))

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,21 +18,11 @@ from binocular_recon.measurement.kinds import KINDS, measure
 from binocular_recon.measurement.picks import Pick, Request
 from binocular_recon.measurement.results import Measurement
 from binocular_recon.measurement.snapping import PICK_SIGMA_PX, check_inside
-from binocular_recon.viewer.coloured_frame import COLOURS, MOST_POINTS, ColouredFrame
+from binocular_recon.viewer.coloured_frame import COLOURS, MOST_POINTS, Shown, coloured
 from binocular_recon.viewer.measurer import Measurer
 from binocular_recon.viewer.picks_board import Marks, PicksBoard, default_request
 
 _CAMERA_UP = (0.0, -1.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What is shown: a frame, a key of `COLOURS`, and the cloud between two depths."""
-
-    frame: int = 0
-    colour: str = 'image'
-    near_m: float = 0.0
-    far_m: float = math.inf
 
 
 class SharedView:
@@ -57,6 +46,8 @@ class SharedView:
     shown : Shown
     displayed : ColouredFrame
         The shown frame in its colours.
+    awaited : Pick, optional
+        The next click in the right image says where this pick is there.
     revision : int
         Number of changes so far.
     image_revision : int
@@ -80,6 +71,7 @@ class SharedView:
     ) -> None:
         self.folder, self.board = folder, board
         self.kind = 'distance'
+        self.awaited: Pick | None = None
         self.shown = Shown()
         self.revision = self.image_revision = 0
         self.listeners: list[Callable[[], None]] = []
@@ -87,7 +79,7 @@ class SharedView:
         self._lock = threading.RLock()
         picks = board.marks.picks.values()
         self._measurer = Measurer(folder, picks, pick_sigma_px)
-        self.displayed = self._coloured(self.shown)
+        self.displayed = coloured(self._measurer.session(), self.shown, most_points)
 
     @contextmanager
     def _changing(self) -> Iterator[Marks]:
@@ -100,8 +92,10 @@ class SharedView:
 
     # what is measured
 
-    def click(self, u: float, v: float) -> None:
+    def click(self, u: float, v: float, *, both: bool = False) -> None:
         """Pick a pixel of the shown frame for the measurement that is being made.
+
+        With ``both``, the click in the right image comes next and completes the pick.
 
         Raises
         ------
@@ -114,11 +108,35 @@ class SharedView:
         """
         with self._changing() as marks:
             pick = self.board.new_pick(self.shown.frame, u, v)
-            if KINDS[self.kind].located:
-                self._measurer.session([pick]).point(pick.name)
-            else:
+            if both or not KINDS[self.kind].located:
                 check_inside(self.frame, pick, pick.pixel, 'left')
-            self._choose(marks.with_pick(pick), pick.name)
+            else:
+                self._measurer.session([pick]).point(pick.name)
+            if both:
+                self.awaited = pick
+            else:
+                self._choose(marks.with_pick(pick), pick.name)
+
+    def click_right(self, u: float, v: float) -> None:
+        """Pick where the awaited pick is in the right image; raises as `click`."""
+        with self._changing() as marks:
+            if self.awaited is None:
+                raise MeasurementError('click the point in the left image first')
+            pick = replace(self.awaited, right=np.round([u, v], 2))
+            self._measurer.session([pick]).point(pick.name)
+            if pick.name in marks.picks:
+                self.board.change(marks.with_pick(pick))
+            else:
+                self._choose(marks.with_pick(pick), pick.name)
+            self.awaited = None
+
+    def await_right(self, name: str) -> None:
+        """Let the next click in the right image say where a pick is there."""
+        with self._changing():
+            pick = self.board.pick(name)
+            if pick.frame != self.shown.frame:
+                raise MeasurementError(f'pick {name} is in frame {pick.frame}; show that first')
+            self.awaited = pick
 
     def look(self, origin: FloatArray, direction: FloatArray) -> None:
         """Pick the point of the cloud that a ray meets; raises as `click`."""
@@ -209,7 +227,9 @@ class SharedView:
                     f'the nearest depth shown, {wanted.near_m:g} m, must be below the farthest,'
                     f' {wanted.far_m:g} m'
                 )
-            self.displayed = self._coloured(wanted)
+            if wanted.frame != self.shown.frame:
+                self.awaited = None
+            self.displayed = coloured(self._measurer.session(), wanted, self._most_points)
             self.shown, self.image_revision = wanted, self.revision + 1
 
     @property
@@ -263,20 +283,9 @@ class SharedView:
         self.board.change(replace(marks, requests=requests, chosen=()))
 
     def _cancel(self) -> None:
-        marks = self.board.marks
+        marks, self.awaited = self.board.marks, None
         if marks.chosen:
             used = {name for one in marks.requests for name in one.points}
             gone = set(marks.chosen) - used
             kept = {name: pick for name, pick in marks.picks.items() if name not in gone}
             self.board.change(Marks(kept, marks.requests))
-
-    def _coloured(self, shown: Shown) -> ColouredFrame:
-        session = self._measurer.session()
-        ground = None
-        with suppress(MeasurementError):
-            if shown.colour == 'height':
-                ground = session.ground(shown.frame).support.values
-        return ColouredFrame(
-            session.frame(shown.frame), shown.colour, ground, (shown.near_m, shown.far_m),
-            self._most_points,
-        )  # fmt: skip

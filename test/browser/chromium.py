@@ -18,7 +18,8 @@ from typing import Any
 PROGRAM = next(
     filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome'))), ''
 )
-_LIMIT_S = 60
+# Only what hangs is ended by it: a busy machine may need a minute for a command.
+_LIMIT_S = 240
 # WebGL in software; nothing that Chromium does by itself goes to the network.
 _OPTIONS = [
     '--headless=new', '--no-sandbox', '--remote-debugging-port=0', '--hide-scrollbars',
@@ -53,9 +54,7 @@ class Tab:
 
     def do(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command and return its result."""
-        self._last += 1
-        command = {'id': self._last, 'method': method, 'params': parameters, **self._session}
-        self._connection.send(json.dumps(command))
+        self._send(method, **parameters)
         while True:
             message = json.loads(self._connection.recv(timeout=_LIMIT_S))
             if message.get('id') == self._last:
@@ -63,6 +62,15 @@ class Tab:
                 result: dict[str, Any] = message['result']
                 return result
             self._note(message)
+
+    def _send(self, method: str, **parameters: Any) -> None:
+        self._last += 1
+        command = {'id': self._last, 'method': method, 'params': parameters, **self._session}
+        self._connection.send(json.dumps(command))
+
+    def front(self) -> None:
+        """Bring the tab to the front: one behind another may draw nothing and get no wheel."""
+        self.do('Page.bringToFront')
 
     def _note(self, message: dict[str, Any]) -> None:
         what, facts = message.get('method'), message.get('params', {})
@@ -75,11 +83,11 @@ class Tab:
         elif what == 'Log.entryAdded' and facts['entry']['level'] == 'error':
             self.errors.append(facts['entry']['text'])
 
-    def open(self, address: str, size: tuple[int, int] = (1500, 640)) -> None:
-        """Open an address."""
+    def open(self, address: str, size: tuple[int, int] = (1500, 640), scale: float = 1.0) -> None:
+        """Open an address in a tab of ``size`` CSS px, of ``scale`` pixels of the screen each."""
         self.do(
             'Emulation.setDeviceMetricsOverride', width=size[0], height=size[1],
-            deviceScaleFactor=1, mobile=False,
+            deviceScaleFactor=scale, mobile=False,
         )  # fmt: skip
         self.do('Page.navigate', url=address)
 
@@ -122,8 +130,20 @@ class Tab:
             )  # fmt: skip
 
     def wheel(self, x: float, y: float, amount: float) -> None:
-        """Turn the wheel; a negative amount moves away from the person."""
-        self.do('Input.dispatchMouseEvent', type='mouseWheel', x=x, y=y, deltaX=0, deltaY=amount)
+        """Turn the wheel; a negative amount moves away from the person.
+
+        Chromium answers when the scrolling that the page prevents has come to an end, which may
+        be never: what counts is that the page has got the event.
+        """
+        self.value(
+            'window.wheels ??= (addEventListener("wheel", () => { window.wheels += 1; },'
+            ' {capture: true, passive: true}), 0)'
+        )
+        before = self.value('window.wheels')
+        self._send(
+            'Input.dispatchMouseEvent', type='mouseWheel', x=x, y=y, deltaX=0, deltaY=amount
+        )
+        self.wait_for(f'window.wheels > {before}')
 
     def press(self, key: str, *, control: bool = False) -> None:
         """Press a key."""

@@ -7,6 +7,7 @@ Not a part of ``make test``: it needs a Chromium of the system.
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,11 +18,15 @@ import numpy as np
 import pytest
 
 from binocular_recon.cli.main import main
+from binocular_recon.measurement.picks import read_picks
 from test.browser.chromium import PROGRAM, Tab, chromium
 from test.unit.measurement.measured_site import MeasuredSite, write_output
 
 pytest.importorskip('viser')
-pytestmark = pytest.mark.skipif(not PROGRAM, reason='needs Chromium: apt-get install chromium')
+pytestmark = [
+    pytest.mark.skipif(not PROGRAM, reason='needs Chromium: apt-get install chromium'),
+    pytest.mark.timeout(1200),  # WebGL in software beside other work; every wait has its own limit
+]
 
 # What the page shows of each measurement, as its list states it.
 VALUES = "[...document.querySelectorAll('#measurements .value')].map(one => one.textContent)"
@@ -41,6 +46,7 @@ class Served(NamedTuple):
 def served(tmp_path: Path) -> Iterator[Served]:
     site = MeasuredSite(0)
     output, picks = write_output(site, tmp_path / 'out', frames=2), tmp_path / 'out' / 'picks.yaml'
+    shutil.copy(output / '000000_left.png', output / '000000_right.png')
     words = [sys.executable, '-m', 'binocular_recon', 'view', str(output), '--no-browser']
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -50,7 +56,7 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 def ready(tab: Tab, address: str) -> None:
     """Open the page and wait for image and cloud."""
-    tab.open(address)
+    tab.open(address, scale=0.5)  # WebGL in software takes a quarter of the time
     tab.wait_for("document.querySelector('#points').textContent.includes('points')")
     cloud = "document.querySelector('#cloud').contentDocument"
     tab.wait_for(f"[...{cloud}.querySelectorAll('canvas')].some(one => one.width > 100)")
@@ -66,9 +72,9 @@ def box(tab: Tab, selector: str) -> list[float]:
     return found
 
 
-def place(tab: Tab, pixel: list[float]) -> tuple[float, float]:
-    """Return where a pixel of the image is in the tab, once the image is fitted."""
-    x, y, width, height = box(tab, '#image')
+def place(tab: Tab, pixel: list[float], image: str = '#image') -> tuple[float, float]:
+    """Return where a pixel of an image is in the tab, once the image is fitted."""
+    x, y, width, height = box(tab, image)
     columns, rows = 288, 180
     scale = min(width / columns, height / rows)
     return (
@@ -105,6 +111,7 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         assert other.value(VALUES) == [value]
         # zoomed in, a click picks finer
         x, y = place(other, [100.0, 120.0])
+        other.front()
         for _ in range(6):
             other.wheel(x, y, -400)
         other.click(x, y)
@@ -112,6 +119,7 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         other.press('z', control=True)
         tab.wait_for(f'{NAMES}.length === 2')
         # in the cloud, until a click meets a point
+        tab.front()
         left, top, _, _ = box(tab, '[data-name=point]')
         tab.click(left + 20, top + 10)
         tab.wait_for("document.querySelector('[data-name=point]').ariaChecked === 'true'")
@@ -135,3 +143,25 @@ def test_clicks_in_image_and_cloud_in_two_browsers(served: Served, tmp_path: Pat
         ready(tab, served.address)
         assert tab.value(NAMES) == kept
         tab.screenshot()
+
+
+def test_a_point_is_picked_in_both_images(served: Served) -> None:
+    (u, v), *_ = served.site.random_pixels(np.random.default_rng(4), 40)[0].tolist()
+    there = u - float(served.site.frame.disparity_px[round(v), round(u)])
+    with chromium() as (tab,):
+        ready(tab, served.address)
+        left, top, width, height = box(tab, '#both')
+        tab.click(left + width / 2, top + height / 2)
+        right = '#right-image'
+        tab.wait_for(f"document.querySelector('{right}').width > 100")
+        tab.click(*place(tab, [u, v]))
+        tab.wait_for("document.querySelector('#hint').textContent.includes('right image')")
+        assert tab.value(f'{NAMES}.length') == 0
+        tab.click(*place(tab, [there, v], right))
+        tab.wait_for(f"{NAMES}.join() === 'P1'")
+        assert not tab.errors
+        tab.screenshot()
+    both = read_picks(served.picks)[0]['P1'].right
+    assert both is not None
+    # the row of the mouse is a whole pixel of the screen
+    np.testing.assert_allclose(both, [there, v], atol=0.5)

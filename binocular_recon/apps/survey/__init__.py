@@ -3,8 +3,8 @@
 
 `measured_folder` reads what measuring needs of such a folder; `measuring` writes tables and
 images of measurements, `georeferencing` the tie to control points or the vertical. `merging` makes
-one frame of many, `stations` one cloud of several folders. `report` puts all of it into one page;
-`simulated_site` makes the input of a survey whose truth is known.
+one frame of many, `stations` one cloud of several folders, which `stations_folder` reads. `report`
+puts all of it into one page; `simulated_site` makes the input of a survey whose truth is known.
 """
 
 from typing import TYPE_CHECKING

@@ -87,8 +87,8 @@ def level_folder(
     else:
         if not picks or len(picks) % 2:
             raise MeasurementError(
-                f'{len(picks)} picks are no pairs; pick both ends of each upright thing, one after'
-                ' the other'
+                f'{by} need pairs of picks, but there are {len(picks)}; pick both ends of each'
+                ' upright thing, one after the other'
             )
         session = open_session(folder, list(picks.values()), pick_sigma_px)
         tie = _by_uprights(session, list(picks), by)
@@ -145,10 +145,17 @@ def _text(found: Adjustment, system: ReferenceSystem | None) -> str:
         lines += [_line(name, what, error) for name, error in errors.items()]
     if not found.left_out:
         lines.append('three control points cannot be left out one by one; a fourth checks them')
+    lines += [
+        f'warning: check point {name} is {np.linalg.norm(error.off_m):.3f} m from where the tie'
+        ' puts it, more than its standard deviation explains; check its coordinates, name and'
+        ' pick, and those of the control points'
+        for name, error in found.checks.items()
+        if error.is_odd
+    ]
     if system is not None:
         lines.append(
-            f'EPSG:{system.epsg} {system.name}: lengths on the map are'
-            f' {1e6 * (system.scale - 1):+.0f} ppm of those on the ground, which is taken into'
+            f'EPSG:{system.epsg} {system.name}: the site is at {system.place}; lengths on the map'
+            f' are {1e6 * (system.scale - 1):+.0f} ppm of those on the ground, which is taken into'
             ' account'
         )
     if np.isfinite(found.scale_sigma):

@@ -96,9 +96,20 @@ class MeasuredFolder:
 
     def left_bgr(self, number: int) -> ByteImage:
         """Return the rectified left image of a frame, (H, W, 3) uint8."""
-        left = read_image_file(self._path(number, '_left.png'))
-        check_size(left, self.rig(number).left.size, 'left')
-        return to_bgr8(left)
+        return self._bgr(number, 'left')
+
+    def has_right(self, number: int) -> bool:
+        """Return whether the rectified right image of a frame was kept."""
+        return self._path_of(number, '_right.png').exists()
+
+    def right_bgr(self, number: int) -> ByteImage:
+        """Return the rectified right image of a frame, (H, W, 3) uint8, if it `has_right`."""
+        return self._bgr(number, 'right')
+
+    def _bgr(self, number: int, side: str) -> ByteImage:
+        image = read_image_file(self._path(number, f'_{side}.png'))
+        check_size(image, self.rig(number).left.size, side)
+        return to_bgr8(image)
 
     def _map(self, number: int, name: str, rows: slice) -> FloatImage:
         width, height = self.rig(number).left.size
@@ -130,10 +141,13 @@ class MeasuredFolder:
         return self.summary['frames'][number].get('calibration', self.summary.get('calibration'))
 
     def _path(self, index: int, ending: str) -> Path:
-        path = self.folder / f'{index:06d}{ending}'
+        path = self._path_of(index, ending)
         if not path.exists():
             raise FileError(f'{path} is missing, which measuring needs; {_REMEDY}')
         return path
+
+    def _path_of(self, index: int, ending: str) -> Path:
+        return self.folder / f'{index:06d}{ending}'
 
     @cached_property
     def limits(self) -> CloudConfig:

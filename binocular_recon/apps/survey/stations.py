@@ -15,12 +15,14 @@ from binocular_recon.apps.frame_formats import FRAME_FORMATS, formats_named
 from binocular_recon.apps.stored_frame import stored_frames
 from binocular_recon.apps.summary_entries import STATIONS
 from binocular_recon.apps.survey.measured_folder import MeasuredFolder
+from binocular_recon.apps.survey.stations_folder import CLOUD, MOST_OFF_SIGMAS
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import ConfigError, MeasurementError
-from binocular_recon.io.exports.placement import Placement, read_placement
+from binocular_recon.io.exports.placement import Placement, read_georeference
 from binocular_recon.io.exports.point_table import SIGMAS, PointTable
 from binocular_recon.io.files import ClaimedFolder, check_apart, complete_files, write_json
 from binocular_recon.io.ply import CAMERA_FRAME
+from binocular_recon.machine import machine_facts
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.merging.overlap import Pose, find_pose, surface_distances
 from binocular_recon.merging.voxels import VoxelCloud
@@ -32,8 +34,6 @@ CLOUD_FORMATS = {name: spec for name, spec in FRAME_FORMATS.items() if spec.need
 _SAMPLE, _SURFACE = 4000, 200_000
 # Surfaces within so many cubes of each other are the same one.
 _REACH = 3.0
-# Stations are named whose surfaces are off by more than this many sigmas (RMS).
-_MOST_OFF = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +48,18 @@ class Station:
         To the common frame.
     pairs : int, optional
         Features that it shares with an earlier station; None if control points place it.
+    axes : tuple of str
+        Names of the axes of the common frame.
+    level : bool
+        Whether its third axis is up.
 
     """
 
     folder: MeasuredFolder
     placement: Placement
     pairs: int | None = None
+    axes: tuple[str, str, str] = ('x', 'y', 'z')
+    level: bool = False
 
     @cached_property
     def table(self) -> PointTable:
@@ -104,7 +110,7 @@ def merge_stations(
     Raises
     ------
     ConfigError
-        If a format is not one of clouds.
+        If a format is not one of clouds, or a station is given twice.
     MeasurementError
         If a station has no frame or several, or the stations cannot be tied together.
     FileError
@@ -118,8 +124,12 @@ def merge_stations(
                 f' {name!r}'
             )
     specs = formats_named(['ply', *formats])
+    known: set[Path] = set()
     for folder in folders:
         _check(folder, output)
+        if (place := folder.folder.resolve()) in known:
+            raise ConfigError(f'{folder.folder} is given twice; give each station once')
+        known.add(place)
     stations = _placed(folders)
     claim = ClaimedFolder(output)
     try:
@@ -138,10 +148,18 @@ def merge_stations(
         table = PointTable(cloud.vertices(), stations[1].table.shares, (frame,), system=system)
         with complete_files(output) as parts:
             for spec in specs.values():
-                spec.write(parts / f'cloud{spec.ending}', table)
+                spec.write(parts / f'{CLOUD}{spec.ending}', table)
             write_json(
                 parts / STATIONS,
-                {'voxel_size_m': voxel_size_m, 'crs': system or None, 'stations': entries},
+                {
+                    'voxel_size_m': voxel_size_m,
+                    'crs': system or None,
+                    'axes': list(stations[0].axes),
+                    'level': stations[0].level,
+                    'tied': tied,
+                    'stations': entries,
+                    'versions': machine_facts()['versions'],
+                },
             )
     finally:
         claim.release()
@@ -162,9 +180,10 @@ def _placed(folders: Sequence[MeasuredFolder]) -> list[Station]:
     ties = [folder.folder / TIE_FILE for folder in folders]
     missing = [tie.parent for tie in ties if not tie.exists()]
     if not missing:
-        stations = [
-            Station(folder, read_placement(tie)) for folder, tie in zip(folders, ties, strict=True)
-        ]
+        stations = []
+        for folder, tie in zip(folders, ties, strict=True):
+            found = read_georeference(tie)
+            stations.append(Station(folder, found.placement, axes=found.names, level=found.level))
         systems = sorted({one.placement.crs or 'local' for one in stations})
         if len(systems) > 1:
             raise MeasurementError(
@@ -239,9 +258,10 @@ def _entry(station: Station, others: FloatArray, voxel_size_m: float) -> dict[st
     distances = surface_distances(points, others, reach_m)
     seen = np.isfinite(distances)
     entry: dict[str, Any] = {
-        'folder': str(station.folder.folder),
+        'folder': str(station.folder.folder.resolve()),
         'R': station.placement.rotation.tolist(),
         't': station.placement.translation_m.tolist(),
+        'place_sigma_m': station.placement.own_sigma_m,
         'points': len(station.table),
         'shared_features': station.pairs,
         'overlap': float(seen.mean()) if len(seen) else 0.0,
@@ -267,4 +287,4 @@ def _line(entry: dict[str, Any]) -> str:
         f'{entry["folder"]}: {entry["overlap"]:.0%} of its points lie on surfaces of other'
         f' stations, {off_mm:+.1f} mm off on the median, RMS {rms_mm:.1f} mm or {ratio:.2f} sigma'
     )
-    return f'warning: {text}; check its control points' if ratio > _MOST_OFF else text
+    return f'warning: {text}; check its control points' if ratio > MOST_OFF_SIGMAS else text

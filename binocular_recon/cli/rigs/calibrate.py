@@ -30,7 +30,8 @@ from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import now_text, peak_bytes
-from binocular_recon.measurement.check_distance import CHECK_FILE, check_distances
+from binocular_recon.measurement.check_distance import check_distances
+from binocular_recon.measurement.results import CHECK_FILE
 from binocular_recon.number_text import significant
 
 _Result = TypeVar('_Result')

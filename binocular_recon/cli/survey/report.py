@@ -14,7 +14,9 @@ _MB = 1_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``report``."""
-    parser.add_argument('folder', type=Path, metavar='OUTPUT', help='output folder of reconstruct')
+    parser.add_argument(
+        'folder', type=Path, metavar='OUTPUT', help='output folder of reconstruct, or of merge'
+    )
     for name, what in (
         ('site', 'name of the site, the title'),
         ('client', 'who ordered the survey'),

@@ -74,6 +74,15 @@ class Placement:
         placed: FloatArray = self.scale * (points_xyz @ self.rotation.T) + self.translation_m
         return placed
 
+    @property
+    def own_sigma_m(self) -> list[float] | None:
+        """One standard deviation of the camera's own place, (3,); None if it is not known."""
+        if self.covariance is None or self.centre_m is None:
+            return None
+        effect = similarity_derivatives(self.translation_m[None] - self.centre_m)[0]
+        sigma: FloatArray = np.sqrt(np.diag(effect @ self.covariance @ effect.T))
+        return [float(one) for one in sigma]
+
     def sigmas(
         self, points_xyz: FloatArray, sigmas_m: Mapping[str, npt.NDArray[Any]]
     ) -> dict[str, FloatImage]:

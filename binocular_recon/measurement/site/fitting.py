@@ -25,6 +25,10 @@ LEAST_POINTS = 3
 _ITERATIONS = 20
 
 
+# Chi-square with 3 degrees of freedom that 0.27 % exceed, as those beyond 3 sigma of one value.
+_MOST_SQUARED = 14.2
+
+
 class PointError(NamedTuple):
     """What a point is off, given minus transformed (3,), m, and one standard deviation of it."""
 
@@ -36,6 +40,11 @@ class PointError(NamedTuple):
     def squared(self) -> float:
         """Squared error in units of its covariance: chi-square with 3 degrees of freedom."""
         return float(self.off_m @ np.linalg.pinv(self.covariance) @ self.off_m)
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether an error is larger than its covariance explains, as beyond 3 sigma."""
+        return self.squared > _MOST_SQUARED
 
 
 class Fit(NamedTuple):

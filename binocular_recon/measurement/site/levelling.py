@@ -18,6 +18,7 @@ from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.planes import fitted_ground, height_above, normal_of
 from binocular_recon.measurement.site.tie import SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined, propagate
+from binocular_recon.number_text import significant
 
 # How upright things are, one standard deviation, rad.
 TILT_SIGMA_RAD = {'rods': 0.005, 'plumb': 0.001}
@@ -70,9 +71,11 @@ def level_by_uprights(
             )
         direction = propagate(_upwards, joined(first, last))
         if -direction.values[1] < np.cos(np.deg2rad(MOST_TILT_DEG)):
+            begin, end = (significant(float(one.values[2])) for one in (first, last))
             raise MeasurementError(
-                f'{name} lies more than {MOST_TILT_DEG:g} degrees off the vertical of the image;'
-                ' pick both ends of something upright'
+                f'{name} lies more than {MOST_TILT_DEG:g} degrees off the vertical of the image,'
+                f' its ends are {begin} and {end} m ahead; pick both ends of something upright, on'
+                ' it and not on what shows beside it'
             )
         tilt = TILT_SIGMA_RAD[kind] * np.eye(3)
         directions.append(direction.with_effect(('tilt', name), tilt))

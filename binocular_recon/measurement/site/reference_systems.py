@@ -23,6 +23,8 @@ class ReferenceSystem:
     name, wkt : str
     scale : float
         Lengths on the map over those on the ground at the site.
+    latitude_deg, longitude_deg : float
+        Where the site is if the system is right; a neighbouring zone fits the same coordinates.
 
     """
 
@@ -30,6 +32,16 @@ class ReferenceSystem:
     name: str
     wkt: str
     scale: float
+    latitude_deg: float
+    longitude_deg: float
+
+    @property
+    def place(self) -> str:
+        """Where the site is, as text: ``48.8613 N, 9.1684 E``."""
+        latitude = f'{abs(self.latitude_deg):.4f} {"N" if self.latitude_deg >= 0 else "S"}'
+        return (
+            f'{latitude}, {abs(self.longitude_deg):.4f} {"E" if self.longitude_deg >= 0 else "W"}'
+        )
 
 
 def reference_system(epsg: int, place: FloatArray) -> ReferenceSystem:
@@ -85,7 +97,9 @@ def reference_system(epsg: int, place: FloatArray) -> ReferenceSystem:
         )
     factors = pyproj.Proj(horizontal).get_factors(longitude, latitude)
     scale = float(factors.areal_scale**0.5) * (1 - float(place[2]) / _EARTH_M)
-    return ReferenceSystem(epsg, str(system.name), str(system.to_wkt()), scale)
+    return ReferenceSystem(
+        epsg, str(system.name), str(system.to_wkt()), scale, float(latitude), float(longitude)
+    )
 
 
 def _within(longitude: float, west: float, east: float) -> bool:

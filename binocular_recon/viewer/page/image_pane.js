@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// The left image with what was picked and measured in it: zoom, pan and click.
+// An image of the pair with what was picked and measured in it: zoom, pan and click.
 
 const PICK = '#ff7828', CHOSEN = '#ffffff', LINE = '#ffd640', HOT = '#7df9ff';
 const REACH_PX = 9, DRAG_PX = 4, CLOSEST = 40;
 
 export class ImagePane {
   // events: click(u, v), take(name), hover({u, v, pick, x, y} or null)
-  constructor(canvas, events) {
+  constructor(canvas, events, side = 'left') {
     this.canvas = canvas;
+    this.side = side;
     this.events = events;
     this.image = null;
     this.state = null;
@@ -31,7 +32,8 @@ export class ImagePane {
   }
 
   show(state) {
-    if (this.state?.shown.image !== state.shown.image) this.load(state.shown.image);
+    const source = state.shown[this.side];
+    if (source && this.state?.shown[this.side] !== source) this.load(source);
     this.state = state;
     if (this.fitted) this.fit(); else this.draw();
   }
@@ -39,7 +41,7 @@ export class ImagePane {
   load(source) {
     const image = new Image();
     image.onload = () => {
-      if (this.state.shown.image !== source) return; // another one is on its way
+      if (this.state.shown[this.side] !== source) return; // another one is on its way
       this.image = image;
       this.draw();
     };
@@ -120,13 +122,14 @@ export class ImagePane {
     }
   }
 
-  picksHere() {
-    return this.state?.picks.filter((pick) => pick.frame === this.state.shown.frame) ?? [];
+  picksHere() { // those that have a place in this image
+    const here = (pick) => pick.frame === this.state.shown.frame && pick[this.side];
+    return this.state?.picks.filter(here) ?? [];
   }
 
   pickAt(x, y) {
     const away = (pick) => {
-      const [px, py] = this.place(pick.u, pick.v);
+      const [px, py] = this.place(...pick[this.side]);
       return Math.hypot(px - x, py - y);
     };
     const near = this.picksHere().filter((pick) => away(pick) < REACH_PX);
@@ -155,7 +158,7 @@ export class ImagePane {
     }
     const picks = new Map(this.picksHere().map((pick) => [pick.name, pick]));
     const places = (names) => names.map((name) => picks.get(name)).filter(Boolean)
-      .map((pick) => this.place(pick.u, pick.v));
+      .map((pick) => this.place(...pick[this.side]));
     for (const one of this.state.measurements) {
       const line = places(one.points);
       if (one.points.length > 1 && line.length === one.points.length) {
@@ -166,6 +169,12 @@ export class ImagePane {
     if (open.length) {
       if (this.cursor) open.push(this.cursor);
       this.line(context, open, false, CHOSEN, [6, 5]);
+    }
+    const {awaited} = this.state;
+    if (awaited && this.side === 'left') this.pick(context, awaited);
+    else if (awaited) { // it is on the same row
+      const [, y] = this.place(...awaited.left);
+      this.line(context, [[0, y], [this.canvas.clientWidth, y]], false, CHOSEN, [6, 5]);
     }
     for (const pick of picks.values()) this.pick(context, pick);
     for (const one of this.state.measurements) { // values lie above all else
@@ -201,9 +210,9 @@ export class ImagePane {
   }
 
   pick(context, pick) {
-    const [x, y] = this.place(pick.u, pick.v);
+    const [x, y] = this.place(...pick[this.side]);
     const colour = pick.name === this.hot ? HOT
-      : this.state.chosen.includes(pick.name) ? CHOSEN : PICK;
+      : [this.state.awaited?.name, ...this.state.chosen].includes(pick.name) ? CHOSEN : PICK;
     for (const [style, width] of [['#000b', 4], [colour, 1.8]]) {
       context.strokeStyle = style;
       context.lineWidth = width;

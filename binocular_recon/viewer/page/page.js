@@ -86,9 +86,9 @@ function reading(u, v, text, problem) {
   $('pixel').className = problem ? 'problem' : '';
 }
 
-let hovered = null;
+let hovered = null, inBoth = false;
 const pane = new ImagePane($('image'), {
-  click: (u, v) => act('click', {u, v}),
+  click: (u, v) => act('click', {u, v, both: inBoth}),
   take: (name) => act('take', {name}),
   hover(at) {
     hovered = at;
@@ -105,12 +105,31 @@ const pane = new ImagePane($('image'), {
   },
 });
 
+const rightPane = new ImagePane($('right-image'), {
+  click: (u, v) => act('click_right', {u, v}),
+  take: (name) => act('await_right', {name}),
+  hover(at) {
+    point(at?.pick?.name ?? null);
+    $('pixel').textContent = at && state ? `right image ${at.u.toFixed(1)}, ${at.v.toFixed(1)} px` : '';
+    $('pixel').className = '';
+  },
+}, 'right');
+
+function showRight(wanted) {
+  inBoth = wanted;
+  $('right-image').hidden = !inBoth;
+  $('both').setAttribute('aria-pressed', inBoth);
+  if (state) show(state);
+}
+
 const lines = (one) => one.problem
   ?? one.quantities.map(({what, text}) => `${what} ${text}`).join('\n');
 
 function point(name) {
-  pane.hot = name;
-  pane.draw();
+  for (const one of [pane, rightPane]) {
+    one.hot = name;
+    one.draw();
+  }
   for (const row of document.querySelectorAll('li')) {
     row.classList.toggle('hot', row.dataset.name === name);
   }
@@ -123,6 +142,9 @@ function show(next) {
   state = next;
   const {shown} = state;
   pane.show(state);
+  rightPane.show(state);
+  $('both').hidden = !shown.right;
+  if (inBoth && !shown.right) showRight(false);
   if (first && !$('cloud').src) $('cloud').src = 'cloud/';
   document.title = `${state.folder.split('/').at(-1)} – binocular-recon view`;
   $('folder').textContent = state.folder.split('/').at(-1);
@@ -181,8 +203,11 @@ function hint() {
     : count < least ? `${least - count} or more to come` : 'Enter or Finish ends it';
   $('hint').textContent = `${text[0].toUpperCase()}${text.slice(1)}. `
     + (count ? `${state.chosen.join(', ')}: ${left}.` : `Click ${needed} in the image or the cloud.`);
-  $('making').hidden = !count;
-  $('finish').hidden = most !== 0;
+  if (state.awaited) {
+    $('hint').textContent = `${state.awaited.name}: click the same point in the right image, on the line.`;
+  }
+  $('making').hidden = !count && !state.awaited;
+  $('finish').hidden = most !== 0 || !count;
   $('finish').disabled = count < least;
 }
 
@@ -253,9 +278,15 @@ function pickRows() {
       if (event.key === 'Enter') input.blur();
       if (event.key === 'Escape') { input.value = name; input.blur(); }
     };
-    const place = `frame ${pick.frame}: ${pick.u.toFixed(1)}, ${pick.v.toFixed(1)} px`;
+    const px = (pixel) => `${pixel[0].toFixed(1)}, ${pixel[1].toFixed(1)} px`;
+    const place = `frame ${pick.frame}: ${px(pick.left)}${pick.right ? `, right ${px(pick.right)}` : ''}`;
+    const both = element('button', {
+      className: 'both', textContent: 'in the right image',
+      onclick: () => act('await_right', {name}),
+    });
     const made = row(name, () => act('delete_pick', {name}), input,
       element('div', {className: 'more', textContent: place}),
+      ...(inBoth && pick.frame === state.shown.frame ? [both] : []),
       ...(pick.problem ? [element('div', {className: 'problem', textContent: pick.problem})]
         : pick.quantities.map(({what, text}) => element('div', {className: 'more', textContent: `${what} ${text}`}))));
     made.lastChild.title = 'Delete it and all that is measured with it';
@@ -265,6 +296,7 @@ function pickRows() {
 
 // controls
 
+const fit = () => [pane, rightPane].forEach((one) => one.fit());
 const frame = (number) => act('show', {frame: Number(number)});
 $('previous').onclick = () => frame(state.shown.frame - 1);
 $('next').onclick = () => frame(state.shown.frame + 1);
@@ -276,7 +308,8 @@ $('undo').onclick = () => act('undo');
 $('redo').onclick = () => act('redo');
 $('finish').onclick = () => act('finish');
 $('cancel').onclick = () => act('cancel');
-$('fit').onclick = () => pane.fit();
+$('fit').onclick = fit;
+$('both').onclick = () => showRight(!inBoth);
 $('message').onclick = () => say('');
 $('measurements').dataset.empty = 'None yet.';
 $('picks').dataset.empty = 'None yet.';
@@ -291,7 +324,7 @@ function pressed(event) {
   else if (key === 'enter' && !event.target.matches('button')) {
     if (!$('finish').hidden && !$('making').hidden) act('finish');
   } else if (key === 'escape') act('cancel');
-  else if (key === 'f') pane.fit();
+  else if (key === 'f') fit();
   else if (key === 'pageup' && state.shown.frame > 0) frame(state.shown.frame - 1);
   else if (key === 'pagedown' && state.shown.frame < state.frames - 1) frame(state.shown.frame + 1);
   else return;

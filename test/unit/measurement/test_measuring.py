@@ -260,6 +260,7 @@ def test_picks_files(tmp_path: Path) -> None:
     ('name', 'text', 'message'),
     [
         ('a.csv', 'name,u,v\nA,1,2\n', 'lacks the columns frame'),
+        ('a.csv', 'name;frame;u;v\nA;0;1,5;2\n', 'semicolons between its columns; save'),
         ('a.csv', 'name,frame,u,v\nA,0,x,2\n', "line 2: u must be a finite number, got 'x'"),
         ('a.csv', 'name,frame,u,v\nA,0.5,1,2\n', 'frame must be a whole number'),
         ('a.csv', 'name,frame,u,v\n,0,1,2\n', 'name must be a name'),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 from functools import lru_cache
@@ -157,7 +158,7 @@ def test_level_by_ground_and_by_uprights() -> None:
         ({'a': (_point(foot), _point(foot + 0.01))}, '0.017 m long, 0.2 m is the least'),
         (
             {'a': (_point(foot), _point(foot + np.array([1.0, 0.1, 0])))},
-            'a lies more than 45 degrees',
+            'a lies more than 45 degrees off .* its ends are 8.00 and 8.00 m ahead',
         ),
     ):
         with pytest.raises(MeasurementError, match=message):
@@ -182,6 +183,10 @@ def test_reference_systems(monkeypatch: pytest.MonkeyPatch) -> None:
     # near the central meridian: 0.9996, and 300 m up 47 ppm less
     assert system.scale == pytest.approx(0.9996 - 45e-6, abs=5e-6)
     assert 'ETRS89' in system.wkt
+    # coordinates fit every zone, so the place is said: 3 zones are 18 degrees
+    assert abs(system.latitude_deg - 49) < 1 and system.place.endswith(' E')
+    other = reference_system(25835, PLACE)
+    assert other.longitude_deg - system.longitude_deg == pytest.approx(18, abs=1e-6)
     for code, message in (
         (99999, 'EPSG:99999 is not a known'),
         (4326, 'is not projected'),
@@ -269,6 +274,11 @@ def test_measure_and_georeference_an_output_folder(
     assert 'control point P1 is' in capsys.readouterr().err
     assert (output / TIE_FILE).read_bytes() == before  # nothing is lost
     assert main([*tie, '--leave-out', 'P1']) == 0
+    assert 'warning' not in capsys.readouterr().out
+    control[1]['x'], control[5]['z'] = float(places[1, 0]), float(places[5, 2]) - 1
+    write_rows(table, control)
+    assert main(tie) == 0  # check points have no part in the tie
+    assert re.search(r'warning: check point P5 is (1\.|0\.9)\d* m from', capsys.readouterr().out)
     for wrong, status, message in (
         ([*tie, '--leave-out', 'Q'], 1, "has no point 'Q'"),
         ([*tie, '--level', 'ground'], 2, 'either --control'),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -203,6 +204,75 @@ def test_control_points_place_stations_and_a_wrong_one_is_named(tmp_path: Path) 
     assert any(line.startswith('warning: ') and 'control points' in line for line in report)
 
 
+def test_the_report_of_stations_states_their_residuals_and_places(
+    stations: list[MeasuredFolder], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(stations[0].folder, tmp_path / 'Süd <0>')
+    shutil.copytree(stations[1].folder, tmp_path / 'N')
+    folders = [MeasuredFolder(tmp_path / name) for name in ('Süd <0>', 'N')]
+    site = tmp_path / 'site'
+    merge_stations(folders, site, 0.1)
+    entries = json.loads((site / 'stations.json').read_text())['stations']
+    assert main(['report', str(site), '--site', 'Quarry', '--date', '2026-05-11']) == 0
+    html = (site / 'report.html').read_text()
+    assert html.count('<img') == 1 + 2  # the cloud, and what each station saw
+    words = ['Süd &lt;0&gt;', '11 May 2026', 'what they both see', '100 mm', 'Client']
+    for entry in entries:
+        words += [f'{100 * entry["overlap"]:.0f} %', f'{entry["voxels"]}']
+        words += [f'{1e3 * entry[f"distance_{name}_m"]:.1f}' for name in ('median', 'rms')]
+        words.append(f'{entry["distance_over_sigma"]:.2f}')
+    words += [f'{place:.3f} ± ' for place in entries[1]['t']]
+    assert [word for word in words if word not in html] == []
+    # the second station stands where it was put, within what is stated of its place
+    off = np.array(entries[1]['t']) - POSES[1][1]
+    assert (np.abs(off) < 4 * np.array(entries[1]['place_sigma_m'])).all()
+    assert max(entries[1]['place_sigma_m']) < 0.03
+    # every point of the cloud is in the page: their number is that of the file
+    count = len(cloud_of(site)[0])
+    assert f'{count} of {count} points of all stations' in html
+    assert main(['report', str(site), '--frames', '1']) == 2
+    assert 'has no frames' in capsys.readouterr().err
+    # a station that is gone is said, the rest is stated
+    shutil.rmtree(tmp_path / 'N')
+    assert main(['report', str(site)]) == 0
+    html = (site / 'report.html').read_text()
+    assert 'images and control points of N' in html and html.count('<img') == 2
+    content = json.loads((site / 'stations.json').read_text())
+    for damaged, message in (
+        ({**content, 'stations': []}, 'does not list stations'),
+        ({**content, 'stations': [{'folder': 3}]}, 'is not as our commands write it'),
+        ({**content, 'voxel_size_m': 'x'}, 'is not as our commands write it'),
+        ({'stations': content['stations']}, 'older version'),
+    ):
+        (site / 'stations.json').write_text(json.dumps(damaged))
+        assert main(['report', str(site)]) == 1
+        assert message in capsys.readouterr().err
+
+
+def test_the_report_of_tied_stations_shows_control_points_in_the_frame_of_the_site(
+    stations: list[MeasuredFolder], tmp_path: Path
+) -> None:
+    folders = []
+    there, moved = tmp_path / 'there', tmp_path / 'moved'
+    for number in (0, 1):
+        shutil.copytree(stations[number].folder, there / f'station{number}')
+        folders.append(MeasuredFolder(there / f'station{number}'))
+        georeferenced(folders[-1], number)
+        path = folders[-1].folder / 'georeference.json'
+        tie = json.loads(path.read_text())
+        one = {'name': 'K7', 'check': False, 'place': [1.25, 2.5, 3.75]}
+        residual = {'residual_m': [0.0031, -0.002, 0.001], 'residual_sigma_m': [0.004] * 3}
+        path.write_text(json.dumps({**tie, 'points': [one | residual]}))
+    merge_stations(folders, there / 'site', 0.1)
+    there.rename(moved)  # stations are found beside the cloud, too
+    assert main(['report', str(moved / 'site')]) == 0
+    html = (moved / 'site' / 'report.html').read_text()
+    for words in ('station0: Control and check points', 'station1: Control and check points',
+                  '+3.1 ± 4.0', 'frame of the site: X, Y, Z, metres, level',
+                  '299998.800 ± 0.0020'):  # fmt: skip
+        assert words in html, words
+
+
 def test_stations_that_cannot_be_joined(
     stations: list[MeasuredFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -216,6 +286,9 @@ def test_stations_that_cannot_be_joined(
         merge_stations([stations[0], several], tmp_path / 'out', 0.05)
     with pytest.raises(ConfigError, match='holds what the result is made of'):
         merge_stations(stations, stations[1].folder, 0.05)
+    again = MeasuredFolder(stations[0].folder / '..' / stations[0].folder.name)
+    with pytest.raises(ConfigError, match='is given twice'):
+        merge_stations([*stations, again], tmp_path / 'out', 0.05)
     with pytest.raises(ConfigError, match='must be among ply'):
         merge_stations(stations, tmp_path / 'out', 0.05, formats=['tiff'])
     monkeypatch.setitem(sys.modules, 'small_gicp', None)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import http.client
 import importlib
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -116,6 +117,48 @@ def test_a_hole_is_answered_as_by_measure(
     assert ask(view, 'click', u=ON_HOLE[0], v=ON_HOLE[1]) == {'done': None}
     assert state(view)['picks'][0]['problem'] == found['error']
     assert 'on a hole' in ask(view, 'probe', u=ON_HOLE[0], v=ON_HOLE[1])['done']['problem']
+
+
+def test_a_hole_is_picked_in_both_images(
+    site: MeasuredSite, spots: FloatArray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = write_output(site, tmp_path / 'out', frames=2)
+    view = SharedView(MeasuredFolder(output), PicksBoard(output / 'picks.yaml'))
+    assert state(view)['shown']['right'] is None
+    shutil.copy(output / '000000_left.png', output / '000000_right.png')
+    assert state(view)['shown']['right'].startswith('right.png?')
+    assert 'in the left image first' in ask(view, 'click_right', u=5, v=5)['error']
+    (u, v), (over, down) = ON_HOLE, spots[0].tolist()
+    disparity = float(site.frame.disparity_px[int(v), int(u)])
+    ask(view, 'click', u=over, v=down)
+    assert ask(view, 'click', u=u, v=v, both=True) == {'done': None}
+    assert state(view)['awaited']['left'] == [u, v] and len(state(view)['picks']) == 1
+    assert 'rows of the two pixels' in ask(view, 'click_right', u=u - disparity, v=v + 9)['error']
+    assert ask(view, 'click_right', u=u - disparity, v=v) == {'done': None}
+    shown = state(view)
+    assert shown['awaited'] is None and shown['picks'][1]['right'][1] == v
+    place = view.place('P2')
+    assert place is not None
+    # pixels are kept to 0.01 px
+    np.testing.assert_allclose(place, site.frame.points_xyz[int(v), int(u)], atol=0.03)
+    assert main(['measure', str(output), '--picks', str(view.board.path)]) == 0
+    assert shown['measurements'][0]['label'] in capsys.readouterr().out
+    # a pick that is there gets its place in the right image too
+    there = float(site.frame.disparity_px[int(down), int(over)])
+    assert ask(view, 'await_right', name='P1') == {'done': None}
+    assert ask(view, 'click_right', u=over - there, v=down) == {'done': None}
+    both = read_picks(view.board.path)[0]['P1'].right
+    assert both is not None and both[0] == pytest.approx(over - there, abs=0.006)
+    ask(view, 'undo')
+    assert read_picks(view.board.path)[0]['P1'].right is None
+    # and what waits can be given up, or is when another frame is shown
+    ask(view, 'await_right', name='P1')
+    ask(view, 'cancel')
+    assert state(view)['awaited'] is None
+    ask(view, 'await_right', name='P1')
+    ask(view, 'show', frame=1)
+    assert state(view)['awaited'] is None and state(view)['shown']['right'] is None
+    assert 'is in frame 0' in ask(view, 'await_right', name='P1')['error']
 
 
 def test_outlines_undo_rename_and_delete(view: SharedView, spots: FloatArray) -> None:
@@ -305,9 +348,17 @@ def test_what_is_served_and_to_whom(server: PageServer) -> None:
         assert status == 200 and body.startswith(start)
         assert "default-src 'self'" in headers['Content-Security-Policy']
         assert 'http' not in headers['Content-Security-Policy']
-    status, body, _ = fetch(server, f'{root}image.png?4')
+    status, body, _ = fetch(server, f'{root}left.png?4')
     assert cv2.imdecode(np.frombuffer(body, np.uint8), 1).shape[:2] == (180, 288)
-    for path in ('../../etc/passwd', 'page.py', '%2e%2e/x', '/etc/passwd', 'cloud/x', 'session'):
+    for path in (
+        '../../etc/passwd',
+        'right.png',
+        'page.py',
+        '%2e%2e/x',
+        '/etc/passwd',
+        'cloud/x',
+        'session',
+    ):
         assert fetch(server, root + path)[0] == 404, path
     for path in ('/', '/cloud/', '/x/', root[:-2], root.upper(), '//'):
         assert fetch(server, path)[0] == 403, path

@@ -3,7 +3,8 @@
 
 `sources` reads what an output folder and its calibration hold; `recording`, `findings` (measured
 sizes, control points), `rig`, `frames` and `cloud` write a section or two each from that;
-`survey_report` puts them together. What is not there is said, with the remedy. Style and viewer
+`survey_report` puts them together, `stations_report` those of several stations, in the
+`whole_page` that both have. What is not there is said, with the remedy. Style and viewer
 come from `drawing`.
 """
 

@@ -28,7 +28,7 @@ def facts(sources: ReportSources) -> str:
         ('Standard deviations hold', text(summary.get('sigma', 'matching'))),
         ('Output folder', text(sources.folder.folder)),
     ]
-    return section('The survey', 'What was surveyed, and with what.', _words(rows))
+    return section('The survey', 'What was surveyed, and with what.', words(rows))
 
 
 def _images(summary: Mapping[str, Any]) -> str:
@@ -165,6 +165,7 @@ def _flat(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield name, plain(value) if isinstance(value, float) else str(value)
 
 
-def _words(rows: Iterable[tuple[str, str]]) -> str:
+def words(rows: Iterable[tuple[str, str]]) -> str:
+    """Return a table of names and texts, HTML."""
     cells = ''.join(f'<tr><td>{name}</td><td>{value}</td></tr>' for name, value in rows)
     return f'<table class="words wide"><tbody>{cells}</tbody></table>'

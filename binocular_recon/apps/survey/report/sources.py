@@ -16,8 +16,7 @@ from binocular_recon.errors import FileError, plain_text
 from binocular_recon.images import Image
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.io.text_files import read_json
-from binocular_recon.measurement.check_distance import CHECK_FILE
-from binocular_recon.measurement.results import MEASUREMENTS_FILE
+from binocular_recon.measurement.results import CHECK_FILE, MEASUREMENTS_FILE
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.number_text import day_text
 

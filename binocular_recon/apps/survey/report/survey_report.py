@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,29 +14,20 @@ from binocular_recon.apps.survey.report import findings, recording, rig
 from binocular_recon.apps.survey.report.cloud import cloud
 from binocular_recon.apps.survey.report.frames import frame_maps
 from binocular_recon.apps.survey.report.sources import ReportDetails, ReportSources, text
-from binocular_recon.drawing.cloud_view import cloud_script
-from binocular_recon.drawing.page import cards, embedded_image, page
-from binocular_recon.errors import BinocularReconError, ConfigError, FileError, shortened
+from binocular_recon.apps.survey.report.stations_report import render_stations
+from binocular_recon.apps.survey.report.whole_page import checked, notes, page_around_cloud
+from binocular_recon.apps.survey.stations_folder import is_of_stations
+from binocular_recon.drawing.page import cards
 from binocular_recon.io.files import write_text
-from binocular_recon.io.image_files import read_image_file
-from binocular_recon.machine import now_text
-from binocular_recon.measurement.check_distance import CHECK_FILE
-from binocular_recon.measurement.results import MEASUREMENTS_FILE
+from binocular_recon.measurement.results import CHECK_FILE, MEASUREMENTS_FILE
 from binocular_recon.measurement.site.tie import TIE_FILE
-from binocular_recon.number_text import day_text, fixed
-
-_Made = TypeVar('_Made')
+from binocular_recon.number_text import fixed
 
 REPORT_FILE = 'report.html'
-_FOOTER = 'Uncertainties are one standard deviation.'
-_LOGO_FORMATS = {'.png': 'png', '.jpg': 'jpeg', '.jpeg': 'jpeg'}
-_LARGEST_LOGO = 1_000_000
-# What stands around the points and the image of the cloud takes less, bytes.
-_AROUND_CLOUD = 4000
 
 
 def write_report(folder: Path, details: ReportDetails, output: Path | None = None) -> Path:
-    """Write the report of an output folder of `reconstruct`.
+    """Write the report of an output folder of `reconstruct` or of several stations.
 
     Parameters
     ----------
@@ -58,7 +48,7 @@ def write_report(folder: Path, details: ReportDetails, output: Path | None = Non
         exist, or the report cannot be written.
 
     """
-    html = render(folder, details)
+    html = (render_stations if is_of_stations(folder) else render)(folder, details)
     path = output or folder / REPORT_FILE
     write_text(path, html)
     return path
@@ -67,16 +57,15 @@ def write_report(folder: Path, details: ReportDetails, output: Path | None = Non
 def render(folder: Path, details: ReportDetails) -> str:
     """Return the report as an HTML page; raises as `write_report`."""
     sources = ReportSources(MeasuredFolder(folder), details)
-    logo = _logo(details.logo)
     numbers = details.frames
-    frames = [_part(folder, 'summary.json', partial(sources.folder.frame, n)) for n in numbers]
+    frames = [checked(folder, 'summary.json', partial(sources.folder.frame, n)) for n in numbers]
 
     def part(name: str, make: Callable[[ReportSources], str]) -> str:
-        return _part(folder, name, partial(make, sources))
+        return checked(folder, name, partial(make, sources))
 
     # first, since others state its axes
     tied = part(TIE_FILE, findings.control_points)
-    # in the order of the page; the cloud gets the room that is left
+    # in the order of the page
     first = part('summary.json', recording.facts)
     rest = [
         part(MEASUREMENTS_FILE, findings.measurements),
@@ -89,42 +78,16 @@ def render(folder: Path, details: ReportDetails) -> str:
         recording.signatures(),
     ]
     glance = part('summary.json', _glance)
-
-    def whole(view: str) -> str:
-        return page(
-            details.site or 'Survey report',
-            [glance, _notes(sources), first, view, *rest],
-            _FOOTER,
-            subtitle=_subtitle(sources),
-            logo=logo,
-            script=cloud_script(),
-        )
-
-    room = details.most_bytes - len(whole('').encode(errors='backslashreplace')) - _AROUND_CLOUD
-    return whole(cloud(sources, numbers[0], frames[0], room))
-
-
-def _part(folder: Path, name: str, make: Callable[[], _Made]) -> _Made:
-    """Return what is made from a file; raises a FileError if it is not as it should be."""
-    try:
-        return make()
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        if isinstance(error, BinocularReconError):
-            raise
-        raise FileError(
-            f'{name} in {folder} is not as our commands write it ({shortened(error)}); make it'
-            ' again'
-        ) from error
-
-
-def _subtitle(sources: ReportSources) -> str:
-    details = sources.details
-    words = [
-        f'Survey report of {day_text(now_text())}',
-        f'for {details.client}' if details.client else '',
-        f'surveyed {sources.day}' if sources.day else '',
-    ]
-    return ' · '.join(filter(None, words))
+    lines = [f'Not stated: {text(one)}.' for one in sources.missing]
+    if left := sources.summary.get('left_out'):
+        lines.append(f'{len(left)} image pairs were left out; see below.')
+    return page_around_cloud(
+        details,
+        sources.day,
+        [glance, notes(lines), first],
+        partial(cloud, sources, numbers[0], frames[0]),
+        rest,
+    )
 
 
 def _glance(sources: ReportSources) -> str:
@@ -150,29 +113,3 @@ def _glance(sources: ReportSources) -> str:
             )
     warned = [i for i, (value, _) in enumerate(figures) if value in {'none', 'FAILED', '0'}]
     return cards(figures, warned)
-
-
-def _notes(sources: ReportSources) -> str:
-    """Return what the report cannot state, and what to know before relying on it."""
-    notes = [f'Not stated: {text(one)}.' for one in sources.missing]
-    if left := sources.summary.get('left_out'):
-        notes.append(f'{len(left)} image pairs were left out; see below.')
-    if not notes:
-        return '<p class="good">Nothing is missing in this report.</p>'
-    return f'<ul class="notes">{"".join(f"<li>{note}</li>" for note in notes)}</ul>'
-
-
-def _logo(path: Path | None) -> str:
-    """Return the HTML of a logo."""
-    if path is None:
-        return ''
-    format_ = _LOGO_FORMATS.get(path.suffix.lower())
-    if format_ is None:
-        raise ConfigError(f'--logo must be a PNG or JPEG file, got {path}')
-    read_image_file(path)  # it must be one
-    data = path.read_bytes()
-    if len(data) > _LARGEST_LOGO:
-        raise ConfigError(
-            f'{path} has {len(data) / 1e6:.1f} MB; a logo may have {_LARGEST_LOGO / 1e6:g} MB'
-        )
-    return embedded_image(data, format_, 'logo')
