@@ -110,8 +110,10 @@ def _held(path: Callable[[], Path], flags: int, *, is_part: bool = False) -> tup
 
 def _let_go(path: Path, handle: int) -> None:
     """Remove what `_held` returned, if that is possible, and unlock it."""
-    _remove(path)
-    os.close(handle)
+    try:
+        _remove(path)
+    finally:
+        os.close(handle)
 
 
 def _remove(path: Path) -> None:

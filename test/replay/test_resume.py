@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -108,6 +109,25 @@ def test_a_run_interrupted_at_any_frame_is_continued(
     assert reconstruct(bag, tmp_path, *STATEFUL) == 1
     assert contents(tmp_path) == undisturbed
     assert len(made) == FRAMES  # only the interrupted one was made twice
+
+
+@pytest.mark.parametrize('removal', [1, 3])
+def test_an_interruption_while_a_part_is_removed_leaves_none(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, removal: int
+) -> None:
+    remove, removed = shutil.rmtree, []
+
+    def interrupt(path: Path, **options: Any) -> None:
+        removed.append(path)
+        if len(removed) == removal:
+            raise KeyboardInterrupt
+        remove(path, **options)
+
+    monkeypatch.setattr(shutil, 'rmtree', interrupt)
+    assert reconstruct(bag, tmp_path) == 130
+    assert len(removed) > removal and not removed[removal - 1].exists()
+    assert not list(tmp_path.glob('.*'))
+    assert len(list(tmp_path.glob('*.ply'))) == removal
 
 
 # What is there when a run is killed, and how; one that may end in order is first let make a frame.

@@ -22,7 +22,7 @@ from binocular_recon.apps.progress import ProgressBar
 from binocular_recon.camera import StereoRig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
-from binocular_recon.io.files import part_folder
+from binocular_recon.io.files import part_folder, remove_abandoned
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.stereo.search_range import SearchRange
 
@@ -136,6 +136,7 @@ class FrameLoop:
         """Remove what frames have written that are not taken back."""
         while self._handed:
             self._handed.popleft().files.close()
+        remove_abandoned(self._results.folder)  # an interruption may fall into a removal
 
     def _wanted(self, pairs: PairStream, progress: ProgressBar) -> Iterator[ImagePair]:
         """Yield every Nth pair, until there are as many frames as wanted."""

@@ -10,7 +10,7 @@ import threading
 from multiprocessing.connection import Connection, wait
 
 from binocular_recon._jit import limit_threads
-from binocular_recon.apps.batch.frame_task import compute_frame
+from binocular_recon.apps.batch.frame_task import FrameOutcome, compute_frame
 from binocular_recon.errors import BinocularReconError
 
 READY = 'ready'
@@ -24,16 +24,17 @@ def serve(connection: Connection, threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
-    connection.send(READY)
+    outcome: FrameOutcome | BinocularReconError | str = READY
     while True:
         try:
+            connection.send(outcome)
             task, folder = connection.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):  # the parent has ended
             return
         try:
-            connection.send(compute_frame(task, folder))
+            outcome = compute_frame(task, folder)
         except BinocularReconError as error:
-            connection.send(error)
+            outcome = error
 
 
 def _end_with_parent() -> None:

@@ -10,6 +10,7 @@ import pickle
 import random
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -22,6 +23,7 @@ import pytest
 
 from binocular_recon.apps import reconstruction
 from binocular_recon.apps.bag_input import BagInput
+from binocular_recon.apps.batch import worker
 from binocular_recon.apps.batch.dask_cluster import (
     DaskCluster,
     check_versions,
@@ -287,6 +289,37 @@ def test_a_full_disk_ends_the_run_and_keeps_its_frames(
     assert summary['finished'] is False
     assert len(list(tmp_path.glob('*.ply'))) == len(summary['frames']) > 0
     assert not list(tmp_path.glob('.*'))
+
+
+@pytest.mark.parametrize('when', ['before it is ready', 'during a frame', 'after a frame'])
+def test_a_process_whose_parent_is_killed_ends_without_an_error(
+    when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = multiprocessing.Pipe()
+    monkeypatch.setattr(signal, 'signal', lambda *_: None)  # this process hears Ctrl-C
+    monkeypatch.setattr(worker, 'limit_threads', lambda _: None)
+
+    def compute(*_: object) -> str:
+        if when == 'during a frame':
+            here.close()
+        return 'made'
+
+    def take_and_end() -> None:
+        assert [here.recv(), here.recv()] == [worker.READY, 'made']
+        here.close()
+
+    monkeypatch.setattr(worker, 'compute_frame', compute)
+    if when == 'before it is ready':
+        here.close()
+    else:
+        here.send(('task', 'folder'))
+    parent = threading.Thread(target=take_and_end)
+    if when == 'after a frame':
+        parent.start()
+    worker.serve(there, 1)
+    if when == 'after a frame':
+        parent.join(60)
+    assert here.closed
 
 
 @pytest.mark.parametrize(
