@@ -110,10 +110,9 @@ def _held(path: Callable[[], Path], flags: int, *, is_part: bool = False) -> tup
 
 def _let_go(path: Path, handle: int) -> None:
     """Remove what `_held` returned, if that is possible, and unlock it."""
-    try:
+    with contextlib.ExitStack() as end:
+        end.callback(os.close, handle)
         _remove(path)
-    finally:
-        os.close(handle)
 
 
 def _remove(path: Path) -> None:
@@ -127,13 +126,11 @@ def remove_abandoned(folder: Path) -> None:
     """Remove the parts that nobody writes any more."""
     for part in folder.iterdir():
         if _PART.fullmatch(part.name):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError), contextlib.ExitStack() as end:
                 handle = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-                try:
-                    fcntl.flock(handle, _NOW)
-                    _remove(part)
-                finally:
-                    os.close(handle)
+                end.callback(os.close, handle)
+                fcntl.flock(handle, _NOW)
+                _remove(part)
 
 
 def _new_part(folder: Path, name: str = '') -> Path:
