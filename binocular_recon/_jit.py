@@ -133,7 +133,7 @@ def over_strips(function: Callable[..., None], length: int, *args: Any, strip: i
     try:
         work()
     finally:
-        wait([share for share in shares if not share.cancel()])
-    for share in shares:
-        if not share.cancelled():
-            share.result()
+        begun = [share for share in shares if not share.cancel()]
+        wait(begun)
+    for share in begun:
+        share.result()

@@ -100,11 +100,13 @@ def faint(images: dict[str, FloatImage]) -> str:
 
 def less_sharp(images: dict[str, FloatImage], least: float) -> str:
     """Say that one image is less sharp than the other one: less than ``least`` times."""
-    faint_side = min(images, key=lambda side: _contrast(images[side]))
-    sharp_side = max(images, key=lambda side: _sharpness(images[side]))
-    if faint(images) and faint_side == sharp_side:  # what looks sharp is noise
-        return ''
-    return _less(images, _sharpness, least, 'is less sharp', 'focus that camera, clean its lens')
+    text = _less(images, _sharpness, least, 'is less sharp', 'focus that camera, clean its lens')
+    if text and faint(images):
+        faint_side = min(images, key=lambda side: _contrast(images[side]))
+        sharp_side = max(images, key=lambda side: _sharpness(images[side]))
+        if faint_side == sharp_side:  # what looks sharp is noise
+            return ''
+    return text
 
 
 def _contrast(image: FloatImage) -> float:

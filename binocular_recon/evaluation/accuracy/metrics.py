@@ -206,11 +206,10 @@ def truth_step_px(truth_px: FloatImage) -> float:
 
     """
     values = np.unique(truth_px[np.isfinite(truth_px)].astype(np.float64))
-    steps = np.diff(values)
-    if len(values) < LEAST_VALUES or steps.min() < LEAST_STEP_PX:
+    if len(values) < LEAST_VALUES:
         return 0.0
-    step = float(steps.min())
-    return step if step <= LARGEST_STEP_PX else 0.0
+    step = float(np.diff(values).min())
+    return step if LEAST_STEP_PX <= step <= LARGEST_STEP_PX else 0.0
 
 
 def sigma_against(sigma_px: FloatImage, step_px: float) -> FloatImage:

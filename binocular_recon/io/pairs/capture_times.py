@@ -12,6 +12,8 @@ import struct
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
+from binocular_recon.io.text_files import open_file
+
 # The data stand at the beginning, in segments of at most 64 KiB.
 _HEAD = 1 << 17
 _SUB_IFD = 0x8769
@@ -26,10 +28,8 @@ def capture_time_ns(path: Path) -> int | None:
 
     A time without an offset from UTC counts as UTC: it is compared with that of another camera.
     """
-    if not path.is_file():  # a pipe may never end
-        return None
     try:
-        with path.open('rb') as file:
+        with open_file(path) as file:
             block = _exif(file.read(_HEAD))
         return _time_ns(_texts(block)) if block else None
     except (OSError, struct.error, ValueError, LookupError, OverflowError):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from binocular_recon.apps.survey.report.sources import ReportSources, text
+from binocular_recon.apps.survey.report.sources import ReportSources, Statements, text
 from binocular_recon.drawing.page import section, table
 from binocular_recon.number_text import fixed, plain, reach, significant
 
@@ -16,12 +16,9 @@ _MOST_ROWS = 100
 
 def facts(sources: ReportSources) -> str:
     """Return the section that says what was surveyed, when, by whom and with what."""
-    summary, details = sources.summary, sources.details
+    summary = sources.summary
     rows = [
-        ('Site', text(details.site) or sources.lacks('site', '--site')),
-        ('Client', text(details.client) or sources.lacks('client', '--client')),
-        ('Surveyed by', text(details.author) or sources.lacks('author', '--author')),
-        ('Date', text(sources.day) or sources.lacks('date', 'images have no time; --date')),
+        *occasion(sources),
         ('Images', _images(summary)),
         ('Rig', _rig(sources)),
         ('Coordinates', _coordinates(sources)),
@@ -29,6 +26,17 @@ def facts(sources: ReportSources) -> str:
         ('Output folder', text(sources.folder.folder)),
     ]
     return section('The survey', 'What was surveyed, and with what.', words(rows))
+
+
+def occasion(report: Statements) -> list[tuple[str, str]]:
+    """Return the rows that say what was surveyed, for whom, by whom and when, HTML."""
+    details = report.details
+    return [
+        ('Site', text(details.site) or report.lacks('site', '--site')),
+        ('Client', text(details.client) or report.lacks('client', '--client')),
+        ('Surveyed by', text(details.author) or report.lacks('author', '--author')),
+        ('Date', text(report.day) or report.lacks('date', 'images have no time; --date')),
+    ]
 
 
 def _images(summary: Mapping[str, Any]) -> str:
@@ -136,14 +144,18 @@ def options(sources: ReportSources) -> str:
         if not name.startswith('onnx_') or summary['options']['match']['matcher'] == 'onnx'
     ]
     half = -(-len(rows) // 2)
-    versions = [(text(k), text(v)) for k, v in (summary.get('versions') or {}).items()]
     return section(
         'Options and versions',
         f'Preset {text(summary.get("preset", "unknown"))}; every option of the chain as it was'
         ' used.',
         *(table(('option', 'value'), part, kind='long') for part in (rows[:half], rows[half:])),
-        table(('software', 'version'), versions),
+        version_table(summary.get('versions') or {}),
     )
+
+
+def version_table(versions: Mapping[str, Any]) -> str:
+    """Return the table of the versions of software, HTML."""
+    return table(('software', 'version'), [(text(k), text(v)) for k, v in versions.items()])
 
 
 def signatures() -> str:

@@ -54,8 +54,33 @@ class ReportDetails:
     most_bytes: int = 10_000_000
 
 
+class Statements:
+    """What a report states of itself, and a list of what it cannot state.
+
+    Attributes
+    ----------
+    details : ReportDetails
+    missing : list of str
+        What could not be stated so far, as text.
+
+    """
+
+    details: ReportDetails
+    missing: list[str]
+
+    @property
+    def day(self) -> str:
+        """The day of the survey as text; empty if it is not known."""
+        raise NotImplementedError
+
+    def lacks(self, what: str, remedy: str) -> str:
+        """Note that something cannot be stated; returns the HTML that stands for it."""
+        self.missing.append(f'{what}: {remedy}')
+        return f'<span class="missing">not stated: {text(remedy)}</span>'
+
+
 @dataclass(eq=False)
-class ReportSources:
+class ReportSources(Statements):
     """The files that a report is made from.
 
     Attributes
@@ -136,11 +161,6 @@ class ReportSources:
         if self._image is None or self._image[0] != path:
             self._image = path, read_image_file(path)
         return self._image[1]
-
-    def lacks(self, what: str, remedy: str) -> str:
-        """Note that something cannot be stated; returns the HTML that stands for it."""
-        self.missing.append(f'{what}: {remedy}')
-        return f'<span class="missing">not stated: {text(remedy)}</span>'
 
     def _read(self, name: str, remedy: str) -> dict[str, Any] | None:
         path = self.folder.folder / name

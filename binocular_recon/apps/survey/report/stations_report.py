@@ -16,7 +16,12 @@ from binocular_recon.apps.survey.measured_folder import MeasuredFolder
 from binocular_recon.apps.survey.report import findings, recording, rig
 from binocular_recon.apps.survey.report.cloud import Seen, cloud_of_stations
 from binocular_recon.apps.survey.report.images import photo
-from binocular_recon.apps.survey.report.sources import ReportDetails, ReportSources, text
+from binocular_recon.apps.survey.report.sources import (
+    ReportDetails,
+    ReportSources,
+    Statements,
+    text,
+)
 from binocular_recon.apps.survey.report.whole_page import checked, notes, page_around_cloud
 from binocular_recon.apps.survey.stations_folder import CLOUD, MOST_OFF_SIGMAS, read_stations
 from binocular_recon.drawing.page import cards, section, table
@@ -29,7 +34,7 @@ from binocular_recon.number_text import fixed, plain, significant
 
 
 @dataclass(eq=False)
-class _Stations:
+class _Stations(Statements):
     """What the report is made from: ``stations.json``, and the folders of the stations.
 
     Attributes
@@ -84,11 +89,6 @@ class _Stations:
         """The days of the survey; empty if they are not known."""
         days = [one.day for one in self.sources if one]
         return ', '.join(dict.fromkeys(filter(None, days)))
-
-    def lacks(self, what: str, remedy: str) -> str:
-        """As that of `ReportSources`."""
-        self.missing.append(f'{what}: {remedy}')
-        return f'<span class="missing">not stated: {text(remedy)}</span>'
 
 
 def render_stations(folder: Path, details: ReportDetails) -> str:
@@ -174,17 +174,14 @@ def _warnings(stations: _Stations) -> Iterator[str]:
 
 
 def _facts(stations: _Stations) -> str:
-    content, details = stations.content, stations.details
+    content = stations.content
     axes = ', '.join(text(one) for one in content['axes'])
     where = f'{text(content["crs"])}: ' if content['crs'] else 'frame of the site: '
     if not content['tied']:
         where = f'rectified left camera of {text(stations.names[0])}, right, down and forward: '
     how = 'control points' if content['tied'] else 'what they both see (overlap)'
     rows = [
-        ('Site', text(details.site) or stations.lacks('site', '--site')),
-        ('Client', text(details.client) or stations.lacks('client', '--client')),
-        ('Surveyed by', text(details.author) or stations.lacks('author', '--author')),
-        ('Date', text(stations.day) or stations.lacks('date', 'images have no time; --date')),
+        *recording.occasion(stations),
         ('Stations', ', '.join(map(text, stations.names))),
         ('Joined by', how),
         ('Coordinates', f'{where}{axes}, metres{", level" if content["level"] else ""}'),
@@ -292,7 +289,6 @@ def _of(name: str, html: str) -> str:
 
 
 def _versions(content: Mapping[str, Any]) -> str:
-    rows = [(text(k), text(v)) for k, v in content['versions'].items()]
     return section(
-        'Versions', 'Of what joined the stations.', table(('software', 'version'), rows)
+        'Versions', 'Of what joined the stations.', recording.version_table(content['versions'])
     )
