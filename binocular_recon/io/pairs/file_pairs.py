@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from binocular_recon.errors import FileError
-from binocular_recon.io.pairs.capture_times import capture_time_ns
 from binocular_recon.pairing import Synchronizer
 
 # What may tell which images belong together.
@@ -92,6 +91,9 @@ def pair_files(
             f'{both[0]} is named for both cameras; name the images of the left one, then those of'
             ' the right one'
         )
+    # `reconstruct --help` imports this module and needs no numpy, as the reader of files does.
+    from binocular_recon.io.pairs.capture_times import capture_time_ns
+
     times = [[capture_time_ns(path) for path in files] for files in (left, right)]
     numbers = common_numbers([path.stem for path in left], [path.stem for path in right])
     by = by or _choose(left, right, numbers, times)
