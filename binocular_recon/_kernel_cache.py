@@ -7,17 +7,22 @@ compiled at the installation is used, and what is missing is compiled at each st
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import pickle
+import secrets
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.serialize import dumps
 
 PACKAGE = Path(__file__).parent
 _DIGEST_BYTES = hashlib.sha256().digest_size
+_NAME_DIGITS = 16  # of digests, hexadecimal: 64 bits
 
 _problems: list[str] = []
 _kept: list[str] = []
@@ -96,10 +101,11 @@ class _Cache(FunctionCache):
         super().__init__(function)  # type: ignore[no-untyped-call]
         file = function.__code__.co_filename
         names = self._impl.filename_base, kernels_stamp(Path(file).parent)
-        self._cache_file = _CacheFile(self._cache_path, *names)  # type: ignore[no-untyped-call]
+        files = _CacheFile(self._cache_path, *names)
         beside = _beside(file)
         if beside != self._cache_path:
-            self._cache_file.installed = _CacheFile(beside, *names)  # type: ignore[no-untyped-call]
+            files.installed = _CacheFile(beside, *names)
+        self._cache_file = files  # type: ignore[assignment]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -119,8 +125,12 @@ class _Cache(FunctionCache):
             )
 
 
-class _CacheFile(IndexDataCacheFile):
-    """Numba's cache files, with a digest at the end: damaged machine code would end the process.
+class _CacheFile:
+    """Files of the compiled forms of a function, one for each key: types of arguments, processor.
+
+    Their names tell all that must be equal for a file to be valid, so there is no index, which
+    processes that compile at the same time would have to share. At the end of each file stands a
+    digest of it: damaged machine code would end the process.
 
     Attributes
     ----------
@@ -131,33 +141,43 @@ class _CacheFile(IndexDataCacheFile):
 
     installed: _CacheFile | None = None
 
+    def __init__(self, folder: str, name: str, stamp: str) -> None:
+        self.folder, self.name = Path(folder), name
+        self.valid = f'numba{numba.__version__}.{stamp[:_NAME_DIGITS]}'
+
     def load(self, key: Any) -> Any:
-        found = super().load(key)  # type: ignore[no-untyped-call]
-        return self.installed.load(key) if found is None and self.installed else found
-
-    def _dump(self, value: Any) -> bytes:
-        content: bytes = super()._dump(value)  # type: ignore[no-untyped-call]
-        return content + hashlib.sha256(content).digest()
-
-    def _load_index(self) -> Any:
-        version = pickle.dumps(self._version, protocol=-1)
+        """Return what was compiled for a key; None if it is not here or does not load."""
         try:
-            content = Path(self._index_path).read_bytes()
+            return _undamaged(self.path(key).read_bytes())
+        except Exception:  # noqa: BLE001 - a class of an earlier version may raise anything
+            return self.installed.load(key) if self.installed else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep what was compiled for a key; raises an OSError if it cannot be written."""
+        content: bytes = dumps(data)  # type: ignore[no-untyped-call]
+        path = self.path(key)
+        part = path.with_name(f'{path.name}.{secrets.token_hex(4)}.part')
+        try:
+            part.write_bytes(content + hashlib.sha256(content).digest())
+            part.replace(path)
         except OSError:
-            return {}
-        if not content.startswith(version):
-            return {}
-        try:
-            stamp, names = _undamaged(content[len(version) :])
-        except Exception:  # noqa: BLE001 - as above
-            return {}
-        return names if stamp == self._source_stamp else {}
+            part.unlink(missing_ok=True)
+            raise
+        self.remove_outdated()
 
-    def _load_data(self, name: str) -> Any:
-        try:
-            return _undamaged(Path(self._data_path(name)).read_bytes())  # type: ignore[no-untyped-call]
-        except Exception as error:
-            raise OSError(f'{name} cannot be loaded') from error  # on which numba compiles again
+    def path(self, key: Any) -> Path:
+        """Return the file of a key."""
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()[:_NAME_DIGITS]
+        return self.folder / f'{self.name}.{self.valid}.{digest}.nbc'
+
+    def remove_outdated(self) -> None:
+        """Remove what was compiled from other sources; other versions of numba keep theirs."""
+        module = self.name.partition('.')[0]
+        version, _, stamp = self.valid.rpartition('.')
+        for path in self.folder.glob(f'{module}.*.{version}.*.nbc'):
+            if path.suffixes[-3] != f'.{stamp}':
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
 
 def _undamaged(content: bytes) -> Any:

@@ -154,4 +154,4 @@ def test_demo_runs_from_the_wheel(environment: Path, tmp_path: Path) -> None:
     assert summary['versions']['binocular_recon'] == binocular_recon.__version__
     assert summary['accuracy']['bad-2.0 %'] < 12
     assert (tmp_path / 'results' / '000000.ply').stat().st_size > 1_000_000
-    assert list(own.glob('*.nbi')), 'it was the installed package that ran'
+    assert list(own.glob('*.nbc')), 'it was the installed package that ran'

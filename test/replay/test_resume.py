@@ -335,7 +335,7 @@ def test_a_command_that_still_starts_ends_with_one_line(
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     libraries = Path(f'/proc/{process.pid}/maps')
     while process.poll() is None and not (
-        any((tmp_path / 'cache').glob('*/*.nbi'))
+        any((tmp_path / 'cache').glob('*/*.nbc'))
         if stage == 'compilation'
         else 'numpy' in libraries.read_text()
     ):

@@ -45,6 +45,7 @@ from test.system.graph import RELIABLE, Graph  # noqa: E402
 
 _START_S, _PATIENCE_S = 180.0, 30.0
 _GROWTH = 0.03
+_SHOWN = 1000  # characters of a log
 # Statuses come once a second; a cause may be stated in the one after the fault.
 _STATUS_S = 2.5
 
@@ -102,7 +103,8 @@ class Soak:
         go_on = self._wait(lambda: all(one.clouds > n for one, n in clouds.items()), _PATIENCE_S)
         wrong = [] if go_on else ['the other rig stopped, too']
         if recovery_s > self._within_s:
-            wrong.append(f'recovered after {recovery_s:.1f} s')
+            wrong.append(f'recovered after {recovery_s:.1f} s; its nodes logged last:')
+            wrong += [f'{name}: {node.text()[-_SHOWN:]}' for name, node in rig.nodes.items()]
         if fault.cause and not said:
             texts = '; '.join(dict.fromkeys(t for name in rig.names for t in self._texts[name]))
             wrong.append(f'the diagnostics do not name the cause, but say: {texts}')

@@ -41,7 +41,7 @@ def test_interrupted_in_the_middle_of_a_frame(
 
 
 # What has happened when the signal comes, and the file or the library that shows it.
-STAGES = {'imports': 'numpy', 'ROS loaded': 'librcl', 'compilation': '*/*.nbi'}
+STAGES = {'imports': 'numpy', 'ROS loaded': 'librcl', 'compilation': '*/*.nbc'}
 
 
 @pytest.mark.parametrize('stage', STAGES)

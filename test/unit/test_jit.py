@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import multiprocessing
 import os
@@ -11,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -25,6 +27,11 @@ INNER = """
 from binocular_recon._jit import kernel
 @kernel
 def inner(): return {}
+"""
+TWICE = """
+from binocular_recon._jit import kernel
+@kernel
+def twice(value): return value + value
 """
 OUTER = """
 from binocular_recon._jit import kernel
@@ -81,25 +88,27 @@ def replace_by_a_folder(path: Path) -> None:
     path.mkdir()
 
 
+def with_digest(content: bytes) -> bytes:
+    """Return what a process wrote that knew another content."""
+    return content + hashlib.sha256(content).digest()
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     'cut': cut,
     'empty': lambda path: path.write_bytes(b''),
     'garbage': lambda path: path.write_bytes(np.random.default_rng(0).bytes(4000)),
     'a block of zeros': lambda path: fill(path, b'\0'),
     'a block of ones': lambda path: fill(path, b'\xff'),
-    'of another version': lambda path: path.write_bytes(pickle.dumps('0.1') + b'whatever'),
-    'of an unknown class': lambda path: path.write_bytes(
-        pickle.dumps(numba.__version__, protocol=-1) + b'cmissing_module\nmissing\n.'
-    ),
+    'of another version': lambda path: path.write_bytes(with_digest(pickle.dumps('0.1'))),
+    'of an unknown class': lambda path: path.write_bytes(with_digest(b'cmissing\nmissing\n.')),
     'gone': lambda path: path.unlink(),
     'a folder': replace_by_a_folder,
 }
 
 
 @pytest.mark.parametrize('damage', DAMAGES)
-@pytest.mark.parametrize('pattern', ['*.nbi', '*.nbc'])
 def test_a_damaged_cache_is_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, pattern: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
     inner = tmp_path / '_inner_kernels.py'
     inner.write_text(INNER.format(5))
@@ -107,7 +116,7 @@ def test_a_damaged_cache_is_compiled_again(
     monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
     monkeypatch.setattr(_kernel_cache, '_problems', [])
     assert load(inner).inner() == 5
-    (file,) = tmp_path.rglob(pattern)
+    (file,) = tmp_path.rglob('*.nbc')
     DAMAGES[damage](file)
     again = load(inner).inner
     assert again() == 5
@@ -119,6 +128,49 @@ def test_a_damaged_cache_is_compiled_again(
     else:
         assert once_more.stats.cache_hits
         assert not _kernel_cache.cache_problem()
+
+
+def test_processes_that_compile_at_once_do_not_replace_what_the_other_keeps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two forms of a kernel, kept by processes that began with an empty cache."""
+    path = tmp_path / '_twice_kernels.py'
+    path.write_text(TWICE)
+    monkeypatch.delitem(sys.modules, path.stem, raising=False)
+    monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
+    one, other = load(path).twice, load(path).twice
+    keep = _kernel_cache._CacheFile.save
+    late: list[Callable[[], None]] = []
+    # The second process compiles and keeps its form before the first one has kept its own.
+    monkeypatch.setattr(
+        _kernel_cache._CacheFile, 'save', lambda *args: late.append(partial(keep, *args))
+    )
+    assert one(21) == 42
+    monkeypatch.setattr(_kernel_cache._CacheFile, 'save', keep)
+    assert other(1.5) == 3
+    late[0]()
+    third = load(path).twice
+    assert [third(21), third(1.5)] == [42, 3]
+    assert isinstance(third(21), int)
+    assert sum(third.stats.cache_hits.values()) == 2
+
+
+def test_what_was_compiled_from_other_sources_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = tmp_path / '_inner_kernels.py'
+    monkeypatch.delitem(sys.modules, inner.stem, raising=False)
+    monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
+    kept = []
+    for number, version in enumerate(['0.61.0', numba.__version__, numba.__version__]):
+        inner.write_text(INNER.format(number))
+        _kernel_cache.kernels_stamp.cache_clear()
+        monkeypatch.setattr('numba.__version__', version)
+        assert load(inner).inner() == number
+        kept.append(sorted(path.name.split('.numba')[1] for path in tmp_path.rglob('*.nbc')))
+    assert [len(names) for names in kept] == [1, 2, 2]
+    assert kept[0][0] in kept[2], 'another version of numba keeps what it has compiled'
+    assert kept[1] != kept[2]
 
 
 PROBE = """
