@@ -16,7 +16,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
 .NOTPARALLEL:
-.PHONY: help runtime setup demo test lint format unit suites unit-suites node-suites kernels jazzy \
+.PHONY: help runtime setup demo test lint format unit suites unit-suites oldest-suites node-suites kernels jazzy \
         environments jazzy-environment colcon-environment colcon clients browser fuzz soak evaluate benchmark docs \
         nodes-page site images maintainers \
         lock dist clean distclean
@@ -81,16 +81,21 @@ jazzy-environment:
 jazzy: jazzy-environment ## system and unit tests with ROS 2 Jazzy and the oldest supported versions
 	.venv-jazzy/bin/python -m pytest test/unit test/system
 
-# Nodes wait most of the time: their tests run while a core is busy with the others.
+# Nodes wait most of the time: their tests run while a core is busy with the others, and what is
+# left of it goes to the oldest versions.
 suites: setup jazzy-environment
 	@$(MAKE) --no-print-directory node-suites >.venv/nodes.log 2>&1 & nodes=$$!; \
+	nice $(MAKE) --no-print-directory oldest-suites >.venv/oldest.log 2>&1 & oldest=$$!; \
 	$(MAKE) --no-print-directory unit-suites; status=$$?; \
+	wait $$oldest || status=$$?; cat .venv/oldest.log; \
 	wait $$nodes || status=$$?; cat .venv/nodes.log; exit $$status
 
 unit-suites:
-	@echo 'tests of units and replay with the newest versions, then unit tests but the long ones'
-	@echo 'with the oldest'
+	@echo 'tests of units and replay with the newest versions'
 	$(PYTEST) -q test/unit test/replay
+
+oldest-suites:
+	@echo 'unit tests but the long ones with the oldest versions'
 	.venv-jazzy/bin/python -m pytest -q test/unit -m 'not long'
 
 node-suites:
