@@ -23,6 +23,8 @@ _NOISE = 0.9
 # Cells of an image, px, that are dark and even; one image has so many more of them, as a share,
 # that something covers a part of it.
 _CELL_PX, _COVERED_MORE = 16, 0.25
+# Every so many rows and columns are compared to find two images that are one.
+_EVERY = 8
 # Rows next to each other differ by this much more than those two apart if fields were mixed.
 _INTERLACED = 1.25
 
@@ -45,6 +47,18 @@ def image_fault(grey: FloatImage) -> str:
     if white > SATURATED_SHARE:
         return f'is saturated in {100 * white:.0f} % of its pixels; shorten the exposure'
     return ''
+
+
+def same_image(left: npt.NDArray[np.generic], right: npt.NDArray[np.generic]) -> str:
+    """Say that one image came twice, as the left and as the right one."""
+    left, right = left[::_EVERY, ::_EVERY], right[::_EVERY, ::_EVERY]
+    # of uniform images `image_fault` tells more
+    if left.size < 2 or (left == left.flat[0]).all() or not np.array_equal(left, right):
+        return ''
+    return (
+        'left and right are the same image, so nothing can be measured; give each camera its own'
+        ' topic or file'
+    )
 
 
 def interlaced(images: dict[str, FloatImage]) -> str:

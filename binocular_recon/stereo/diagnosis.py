@@ -21,9 +21,10 @@ from binocular_recon.inputs.image_faults import (
     less_sharp,
     noise_alone,
     partly_covered,
+    same_image,
 )
 from binocular_recon.stereo.matching import Match
-from binocular_recon.stereo.row_check import RowOffset, measure_rows, rows_apart
+from binocular_recon.stereo.row_check import RowOffset, measure_rows, rows_apart, seen_by_both
 from binocular_recon.stereo.search_range import EXCHANGED_SHARE, check_order, overview
 from binocular_recon.stereo.validity import FEW_MATCHED
 
@@ -48,6 +49,10 @@ class Findings(NamedTuple):
     rows: RowOffset = RowOffset()
     warnings: tuple[str, ...] = ()
     cause: str = ''
+
+    def preceded(self, text: str) -> Findings:
+        """Return a finding that explains all others in their place, these if it is empty."""
+        return Findings(self.rows, (text,), text) if text else self
 
     def state(self) -> dict[str, Any]:
         """Return these findings as JSON can hold them."""
@@ -148,6 +153,8 @@ def _examined(left: FloatImage, right: FloatImage, matched: Match) -> Findings:
     """Return what is wrong with a pair of which enough pixels are matched."""
     rows = measure_rows(left, right, matched.disparity_px)
     images = {'left': left, 'right': right}
+    if same := same_image(left, right):
+        return Findings(rows, (same,))
     blurred = less_sharp(images, SLIGHTLY_BLURRED if rows.warning else BLURRED)
     # where one image is blurred, rows cannot be measured
     texts = (blurred or faint(images) or rows.warning, interlaced(images))
@@ -167,6 +174,7 @@ def explain_few(
     """
     images = {'left': left, 'right': right}
     causes: tuple[Callable[[], str], ...] = (
+        lambda: same_image(left, right),
         lambda: _turned(left, right, config, infinity_px or 0.0),
         lambda: rows_apart(left, right),
         lambda: interlaced(images),
@@ -174,24 +182,35 @@ def explain_few(
         lambda: noise_alone(images),
         lambda: less_sharp(images, BLURRED),
         lambda: faint(images),
+        lambda: seen_by_both(left, right),
     )
     return next((cause for find in causes if (cause := find())), '')
 
 
-# What is seen, and what to do to which image.
-_TURNS: tuple[tuple[str, Callable[[FloatImage], FloatImage]], ...] = (
-    ('the {} image is upside down (turned by 180 degrees)', lambda image: image[::-1, ::-1]),
-    ('one of the images is flipped top to bottom', lambda image: image[::-1]),
-    ('the {} image is mirrored left to right', lambda image: image[:, ::-1]),
+_TURN_BACK = 'turn it back in the driver, and calibrate with it so'
+# What is seen, what was done to which image, and the remedy.
+_TURNS: tuple[tuple[str, Callable[[FloatImage], FloatImage], str], ...] = (
+    (
+        'the {} image is upside down (turned by 180 degrees)',
+        lambda image: image[::-1, ::-1],
+        _TURN_BACK,
+    ),
+    ('one of the images is flipped top to bottom', lambda image: image[::-1], _TURN_BACK),
+    ('the {} image is mirrored left to right', lambda image: image[:, ::-1], _TURN_BACK),
+    (
+        'one of the images is a negative of the other one',
+        lambda image: 255 - image,
+        'set both cameras to the same polarity (thermal cameras: white hot or black hot)',
+    ),
 )
 
 
 def _turned(left: FloatImage, right: FloatImage, config: MatchConfig, infinity_px: float) -> str:
-    """Say that one image is turned or flipped against the other."""
+    """Say that one image is turned, flipped or inverted against the other."""
     far = -abs(infinity_px) - 8  # the principal point is turned too
     given = overview(left, right, config, infinity_px).matched_share
     best, text = max(2 * given, EXCHANGED_SHARE), ''
-    for what, turn in _TURNS:
+    for what, turn, remedy in _TURNS:
         right_turned = overview(left, np.ascontiguousarray(turn(right)), config, far)
         left_turned = overview(np.ascontiguousarray(turn(left)), right, config, far)
         for side, seen in (('right', right_turned), ('left', left_turned)):
@@ -199,6 +218,6 @@ def _turned(left: FloatImage, right: FloatImage, config: MatchConfig, infinity_p
                 best = seen.matched_share
                 text = (
                     f'{what.format(side)}: {given:.0%} of the pixels match as given and {best:.0%}'
-                    ' the other way round; turn it back in the driver, and calibrate with it so'
+                    f' the other way round; {remedy}'
                 )
     return text

@@ -16,6 +16,7 @@ from binocular_recon.cloud_config import CloudConfig
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import FloatImage, Image, mark_empty, to_bgr8, to_grey
+from binocular_recon.inputs.image_faults import same_image
 from binocular_recon.inputs.levels import EIGHT_BIT, Levels, LevelTracker
 from binocular_recon.stereo.diagnosis import NOTHING, Findings, PairCheck
 from binocular_recon.stereo.filtering.wls_filter import DisparityFilter, Filtered
@@ -118,6 +119,7 @@ class Chain:
             If the sizes or dtypes do not fit.
 
         """
+        same = same_image(left, right)
         left, right = self._rectify(left, right)
         number = next(self._numbers)
         self._frames = number + 1
@@ -132,11 +134,10 @@ class Chain:
             levels=self._levels,
             check=self._check,
         )
-        filtered = found.filtered
         cloud = triangulate(  # eq. 16-18
-            filtered.disparity_px,
-            filtered.sigma_px,
-            filtered.validity,
+            found.filtered.disparity_px,
+            found.filtered.sigma_px,
+            found.filtered.validity,
             self.rig,
             self.config.cloud,
         )
@@ -144,11 +145,11 @@ class Chain:
             left,
             right,
             found.matched,
-            filtered,
+            found.filtered,
             cloud,
             found.range,
             found.levels,
-            found.findings,
+            found.findings.preceded(same),
             self.config.cloud,
         )
 
@@ -261,8 +262,7 @@ def estimate_disparity(
     turns : int
         `StereoRig.turns`: the pair is matched turned, results are those of the images as given.
     check_range : bool
-        Whether to check that a given search range is large enough, and without ``check`` to
-        examine the pair.
+        Whether to check a given search range and, without ``check``, to examine the pair.
     levels : LevelTracker, optional
         Black and white of a stream; its own options apply, not those in ``config``.
     check : PairCheck, optional

@@ -25,6 +25,9 @@ _LEAST_SCORE = 0.8
 _AGREE_SHARE, _AGREE_LEAST, _AGREE_PX, _FEATURES = 0.4, 20, 1.5, 1500
 # A turn, degrees, or another scale explains them if this many times as many agree.
 _TURNS, _SCALES, _MORE_AGREE = np.arange(-15, 15.1, 0.25), np.arange(0.7, 1.41, 0.0025), 1.5
+# With fewer features that look alike nothing is said about what the images show. Of those of other
+# scenes less than this share lies, by chance, within so many px of epipolar lines of any pose.
+_FEW_FEATURES, _CHANCE_SHARE, _ON_LINE_PX, _TRIES = 100, 0.15, 2.0, 2000
 
 
 class RowOffset(NamedTuple):
@@ -146,20 +149,12 @@ def rows_apart(left: FloatImage, right: FloatImage) -> str:
         agree about any of these.
 
     """
-    detector = cv2.ORB_create(nfeatures=_FEATURES)
-    (left_points, left_descriptors), (right_points, right_descriptors) = (
-        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
-    )
-    if left_descriptors is None or right_descriptors is None:
-        return ''
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        left_descriptors, right_descriptors
-    )
-    if len(pairs) < _AGREE_LEAST:
+    features = _matched_features(left, right)
+    if len(features) < _AGREE_LEAST:
         return ''
     middle = (np.array(left.shape[::-1]) - 1) / 2
-    rows = np.array([left_points[pair.queryIdx].pt[1] for pair in pairs]) - middle[1]
-    x, y = (np.array([right_points[pair.trainIdx].pt for pair in pairs]) - middle).T
+    rows = features[:, 0, 1] - middle[1]
+    x, y = (features[:, 1] - middle).T
     agreeing, off_px = _shared(y - rows)
     turned, turn_deg = _most_agreeing(
         (float(turn), y * np.cos(np.radians(turn)) - x * np.sin(np.radians(turn)) - rows)
@@ -182,6 +177,60 @@ def rows_apart(left: FloatImage, right: FloatImage) -> str:
     if not text or agreeing < max(_AGREE_LEAST, _AGREE_SHARE * rows.size):
         return ''
     return f'{text} ({agreeing} of {rows.size} features); rectify, or calibrate again'
+
+
+def seen_by_both(left: FloatImage, right: FloatImage) -> str:
+    """Say that the images show different things, or the same on other rows.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32
+        Grey levels; NaN = no data.
+
+    Returns
+    -------
+    str
+        Empty if there are few features, or the two are as unlike as a good pair may be.
+
+    """
+    features = _matched_features(left, right).astype(np.float64)
+    if len(features) < _FEW_FEATURES:
+        return ''
+    cv2.setRNGSeed(0)
+    _, mask = cv2.findFundamentalMat(
+        features[:, 0], features[:, 1], cv2.FM_RANSAC, _ON_LINE_PX, 0.99, _TRIES
+    )
+    inliers = np.zeros(len(features), np.bool_) if mask is None else mask.ravel() > 0
+    share = float(inliers.mean())
+    if share < _CHANCE_SHARE:
+        return (
+            f'left and right show different things: {share:.0%} of {len(features)} features that'
+            ' look alike fit any pose of two cameras, as by chance; check that both images are of'
+            ' this rig and of the same moment'
+        )
+    apart_px = float(np.median(np.abs(np.diff(features[inliers, :, 1], axis=1))))
+    if share < _AGREE_SHARE or apart_px < _AGREE_PX:
+        return ''
+    return (
+        f'left and right show the same, but not on the same rows: {share:.0%} of'
+        f' {len(features)} features fit two cameras, and their rows differ by {apart_px:.1f} px'
+        ' (median); rectify the images, with the calibration of this rig'
+    )
+
+
+def _matched_features(left: FloatImage, right: FloatImage) -> npt.NDArray[np.float32]:
+    """Return x and y of features that look alike, in the left and the right image: (n, 2, 2)."""
+    detector = cv2.ORB_create(nfeatures=_FEATURES)
+    (left_points, left_descriptors), (right_points, right_descriptors) = (
+        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
+    )
+    if left_descriptors is None or right_descriptors is None:
+        return np.empty((0, 2, 2), np.float32)
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        left_descriptors, right_descriptors
+    )
+    points = [(left_points[one.queryIdx].pt, right_points[one.trainIdx].pt) for one in pairs]
+    return np.array(points, np.float32).reshape(-1, 2, 2)
 
 
 def _most_agreeing(

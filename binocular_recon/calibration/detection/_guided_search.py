@@ -32,6 +32,10 @@ MIN_MARKS = 2
 MOST_BEYOND = 0.5
 # Something in front of the rod may come this near to an edge, px.
 NEAR_RISE_PX = 2.0
+# A rod with at most this share of its marks must stand, and lean, within so many standard
+# deviations of where the others say; these are at least so large, m and rad.
+WEAK_SHARE, MOST_SIGMAS = 0.5, 5.0
+LEAST_PLACE_M, LEAST_LEAN = 0.005, 0.005
 
 
 class Averaged(NamedTuple):
@@ -109,6 +113,56 @@ def complete(
             continue
         completed[rod, new] = points[new]
     return completed
+
+
+def stray_rods(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> Mask:
+    """Return which rods have a lone mark, or few marks where no rod can stand: (R,) bool.
+
+    Of a rod that the image border cuts off, or something hides, the search may find something
+    else beside it. Rods may stand, and lean, worse than stated as far as the others do.
+
+    Parameters
+    ----------
+    board : RodBoard
+        Positions of rods and marks.
+    marks_px : (R, M, 2) float64
+        Marks found, px; NaN = not found.
+    size : (int, int)
+        Width and height of the image, px.
+
+    """
+    found = np.isfinite(marks_px[..., 0]).sum(1)
+    stray: Mask = found < MIN_MARKS
+    tilt = max(board.tilt_sigma_rad, LEAST_LEAN)
+    least = max(board.placement_sigma_m, LEAST_PLACE_M) + tilt * board.marks_m.mean(), tilt
+    for rod in np.flatnonzero((found >= MIN_MARKS) & (found <= WEAK_SHARE * found.max())):
+        others = np.flatnonzero((found > WEAK_SHARE * found.max()) & (found > MIN_MARKS))
+        if len(others) < 3:
+            continue
+        known = np.full_like(marks_px, np.nan)
+        known[others] = marks_px[others]
+        plane = plane_marks(board, known, size)
+        if plane is None or not np.isfinite(plane[rod]).all():
+            continue
+        off = np.array([_off(board, marks_px[one], plane[one]) for one in (*others, rod)])
+        usual = np.sqrt(np.sum(off[:-1] ** 2, axis=0) / max(len(others) - 3, 1))
+        # a projective map along the row is about as free as a parabola
+        along = np.vander(board.row_m[:, 0] - board.row_m[others, 0].mean(), 3)
+        weights = along[rod] @ np.linalg.pinv(along[others])
+        sigmas = np.maximum(usual, least) * np.sqrt(1 + weights @ weights)
+        stray[rod] = bool((np.abs(off[-1]) > MOST_SIGMAS * sigmas).any())
+    return stray
+
+
+def _off(board: RodBoard, marks_px: FloatArray, plane_px: FloatArray) -> tuple[float, float]:
+    """Return how far a rod's marks are beside their places, m, and how they lean, rad."""
+    seen = np.isfinite(marks_px[:, 0])
+    chord = plane_px[-1] - plane_px[0]
+    scale = float(np.linalg.norm(chord)) / float(np.ptp(board.marks_m))
+    across = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+    aside = (marks_px - plane_px)[seen] @ across / scale
+    lean, place = np.polyfit(board.marks_m[seen] - board.marks_m.mean(), aside, 1)
+    return float(place), float(lean)
 
 
 def goes_on(image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined) -> bool:

@@ -39,6 +39,8 @@ COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0, 1.0])
 COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0, 0.3])
 COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2, 0.1])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
+# S1 and S2 together from which they are no longer held near 0.
+FAR_SUN = 1.4
 # Starts of S1, tried in turn until width and blur are as expected within so many sigmas.
 SUN_STARTS, MOST_STRAIN = (0.0, 1.5, -1.5), 4.5
 OWN = 2
@@ -237,13 +239,17 @@ def _start(
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
     """Solve for the common parameters with each rod's own line eliminated."""
-    prior = 1 / COMMON_SIGMA**2
+    prior, step = 1 / COMMON_SIGMA**2, COMMON_STEP.copy()
+    # a hard sun is rare, but then far stronger than usual: a prior with wide tails
+    sun = float(np.hypot(*common[1:3]))
+    prior[1:3] /= 1 + (sun / FAR_SUN) ** 2
+    step[1:3] *= 1 + sun
     total, pull = np.diag(prior), prior * (COMMON_START - common)
     for normal, gradient in systems:
         weight = np.linalg.solve(normal[:OWN, :OWN], normal[:OWN, OWN:])
         total = total + normal[OWN:, OWN:] - normal[OWN:, :OWN] @ weight
         pull = pull + gradient[OWN:] - weight.T @ gradient[:OWN]
-    change: FloatArray = np.clip(np.linalg.solve(total, pull), -COMMON_STEP, COMMON_STEP)
+    change: FloatArray = np.clip(np.linalg.solve(total, pull), -step, step)
     return change
 
 

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from binocular_recon.calibration.detection._board_layout import Layout, identify
 from binocular_recon.calibration.detection._guided_search import (
-    MIN_MARKS,
     Averaged,
     complete,
     goes_on,
+    stray_rods,
 )
 from binocular_recon.calibration.detection._identity import scattered, settle_identity
 from binocular_recon.calibration.detection._refinement import Refined, refine
@@ -208,10 +208,10 @@ def _settle(image: FloatImage, board: RodBoard, layout: Layout) -> _Measured | N
             return None
         identity = settle_identity(image, averaged, board, refined)
         if identity is refined.marks_px:
-            lone = np.isfinite(refined.marks_px[..., 0]).sum(1) < MIN_MARKS
-            refined.marks_px[lone], refined.sigma_px[lone] = np.nan, np.nan
-            marks, sigma = refined.marks_px, refined.sigma_px
-            if board.count > 1 and scattered(board, marks, (image.shape[1], image.shape[0])):
+            marks, sigma, size = *refined[:2], (image.shape[1], image.shape[0])
+            stray = stray_rods(board, marks, size)  # and those with a lone mark
+            marks[stray], sigma[stray] = np.nan, np.nan
+            if board.count > 1 and scattered(board, marks, size):
                 return None
             if board.count > 1 and goes_on(image, averaged, board, refined):
                 return _Measured(_nothing(board, ENDLESS), refined, image, averaged)

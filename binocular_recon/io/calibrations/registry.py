@@ -33,7 +33,10 @@ FORMATS: tuple[CalibrationFormat, ...] = (
 )
 
 # Of a folder, files with these endings are looked at, and those of EuRoC's cameras.
-_ENDINGS = ('.yaml', '.yml', '.json', '.xml', '.txt', '.bin', '.mat', '.cameramodel', '.gz')
+_ENDINGS = (
+    *('.yaml', '.yml', '.json', '.xml', '.txt', '.bin', '.mat', '.cameramodel', '.cahvor'),
+    *('.ini', '.gz'),
+)
 _DEEPER = ('*/sensor.yaml', 'mav0/*/sensor.yaml')
 _MOST_FILES = 500
 _OURS = 'calibration.json'  # beside left.yaml, of this package

@@ -18,6 +18,7 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
+from binocular_recon.io.calibrations.formats._ros_ini import ini_values, is_ini
 from binocular_recon.io.text_files import (
     LARGEST_YAML,
     check_size,
@@ -98,7 +99,7 @@ class SourceFile:
 
     @cached_property
     def content(self) -> Any:
-        """Values of a YAML, JSON, XML or mrcal file; an empty mapping for other files.
+        """Values of a YAML, JSON, XML, mrcal or .ini file; an empty mapping for other files.
 
         XML becomes its root element, but OpenCV's a mapping as in YAML.
 
@@ -111,6 +112,8 @@ class SourceFile:
 
         """
         names = self.path.name.lower().removesuffix('.gz')
+        if is_ini(self.head):
+            return ini_values(self.text)
         if names.endswith(('.txt', '.mat', '.bin')):
             return {}
         begin = self.text[:4096].lstrip()

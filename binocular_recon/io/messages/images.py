@@ -19,6 +19,12 @@ from binocular_recon.errors import ImageError
 from binocular_recon.images import Image
 from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.image_files import decoded_image
+from binocular_recon.io.messages.encodings import (
+    ENCODINGS,
+    Encoding,
+    check_byte_order,
+    known_encoding,
+)
 
 
 class DecodedImage(NamedTuple):
@@ -37,47 +43,6 @@ class DecodedImage(NamedTuple):
     encoding: str
 
 
-class _Encoding(NamedTuple):
-    dtype: str
-    channels: int = 1
-    decode: int | None = None  # cv2.cvtColor to BGR
-    encode: int | None = None  # cv2.cvtColor from BGR; none to a mosaic or YUV
-
-
-# ROS names a Bayer pattern by its first two pixels, OpenCV by the second and third of row two.
-ENCODINGS = {
-    'mono8': _Encoding('u1'),
-    '8UC1': _Encoding('u1'),
-    'mono16': _Encoding('u2'),
-    '16UC1': _Encoding('u2'),
-    '32FC1': _Encoding('f4'),
-    '32FC3': _Encoding('f4', 3),
-    '64FC1': _Encoding('f8'),
-    'bgr8': _Encoding('u1', 3),
-    '8UC3': _Encoding('u1', 3),
-    'bgra8': _Encoding('u1', 4),
-    '8UC4': _Encoding('u1', 4),
-    'bgr16': _Encoding('u2', 3),
-    '16UC3': _Encoding('u2', 3),
-    '16UC4': _Encoding('u2', 4),
-    'bgra16': _Encoding('u2', 4),
-    'rgb8': _Encoding('u1', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
-    'rgba8': _Encoding('u1', 4, cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA),
-    'rgb16': _Encoding('u2', 3, cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB),
-    'rgba16': _Encoding('u2', 4, cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA),
-    'bayer_rggb8': _Encoding('u1', 1, cv2.COLOR_BayerBG2BGR),
-    'bayer_bggr8': _Encoding('u1', 1, cv2.COLOR_BayerRG2BGR),
-    'bayer_gbrg8': _Encoding('u1', 1, cv2.COLOR_BayerGR2BGR),
-    'bayer_grbg8': _Encoding('u1', 1, cv2.COLOR_BayerGB2BGR),
-    'bayer_rggb16': _Encoding('u2', 1, cv2.COLOR_BayerBG2BGR),
-    'bayer_bggr16': _Encoding('u2', 1, cv2.COLOR_BayerRG2BGR),
-    'bayer_gbrg16': _Encoding('u2', 1, cv2.COLOR_BayerGR2BGR),
-    'bayer_grbg16': _Encoding('u2', 1, cv2.COLOR_BayerGB2BGR),
-    'yuv422': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
-    'uyvy': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_UYVY),
-    'yuv422_yuy2': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
-    'yuyv': _Encoding('u1', 2, cv2.COLOR_YUV2BGR_YUY2),
-}
 # Encodings of images that come without one.
 _PLAIN = {
     ('u1', 1): 'mono8',
@@ -125,7 +90,7 @@ def read_image(
     else:
         if size:
             check_image_size((int(message.width), int(message.height)), size, name)
-        image, encoding = image_samples(message, name), message.encoding
+        image, encoding = image_samples(message, name), known_encoding(message.encoding)
         code = ENCODINGS[encoding].decode
         if code is not None:
             image = cv2.cvtColor(image, code)
@@ -139,7 +104,7 @@ def image_samples(message: Any, name: str = 'image') -> Image:
 
     Raises an ImageError if the encoding is unknown or bytes are missing.
     """
-    encoding = ENCODINGS.get(message.encoding)
+    encoding = ENCODINGS.get(known_encoding(message.encoding))
     if encoding is None:
         raise ImageError(
             f'{name} has encoding {message.encoding!r}; convert it to one of'
@@ -167,7 +132,10 @@ def image_samples(message: Any, name: str = 'image') -> Image:
         shape, strides = (*shape, encoding.channels), (*strides, dtype.itemsize)
     ordered = dtype.newbyteorder('>' if message.is_bigendian else '<')
     samples: Image = np.ndarray(shape, ordered, data, 0, strides)
-    return np.ascontiguousarray(samples, dtype)
+    samples = np.ascontiguousarray(samples, dtype)
+    if dtype == np.uint16:
+        check_byte_order(samples, bool(message.is_bigendian), name)
+    return samples
 
 
 def plain_encoding(image: Image) -> str:
@@ -195,7 +163,7 @@ def fill_image(message: Any, image: Image, encoding: str, header: Any) -> None:
         If the image cannot be written in this encoding.
 
     """
-    spec = ENCODINGS.get(encoding, _Encoding('', 0))
+    spec = ENCODINGS.get(encoding, Encoding('', 0))
     channels = _kind(image)[1]
     if _kind(image) != spec[:2] or (spec.decode and spec.encode is None):
         raise ImageError(
@@ -262,7 +230,7 @@ def _emptied(message: Any, member: str) -> Any:
 
 
 def _kind(image: Image) -> tuple[str, int]:
-    """Return type and number of channels, like the first two members of `_Encoding`."""
+    """Return type and number of channels, like the first two members of `Encoding`."""
     return image.dtype.str[1:], 1 if image.ndim == 2 else image.shape[2]
 
 
@@ -279,6 +247,7 @@ def _decode_file(message: Any, name: str, size: tuple[int, int] | None) -> tuple
         image = cv2.cvtColor(
             image, cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         )
+    encoding = known_encoding(encoding)
     spec = ENCODINGS.get(encoding)
     if spec is None or spec[:2] != _kind(image):
         plain = plain_encoding(image)

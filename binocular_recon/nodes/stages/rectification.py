@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from binocular_recon.camera import StereoRig
+from binocular_recon.inputs.image_faults import same_image
 from binocular_recon.io.calibration_yaml import read_rig
 from binocular_recon.io.messages.camera_infos import fill_camera_info
 from binocular_recon.io.messages.images import DecodedImage, fill_image, read_image
@@ -79,6 +80,8 @@ class RectifyStage:
             read_image(left, 'left image', fixed.left.size if fixed else None),
             read_image(right, 'right image', fixed.right.size if fixed else None),
         )
+        if same := same_image(*(image.image for image in images)):
+            self._node.health.warning(same)
         rig = fixed or self._node.rig(infos[0], infos[1], *(image.image for image in images))
         if self._fixed_rig:
             self._node.warn_of_rig(rig)
