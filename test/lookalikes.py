@@ -114,6 +114,19 @@ def checks(size: Size, rng: np.random.Generator) -> FloatImage:
     return _at_an_angle(image, rng, 0.06)
 
 
+def lattice(size: Size, rng: np.random.Generator) -> FloatImage:
+    """Bars in two directions, as of a steel lattice or a fence, seen at an angle."""
+    width, height = size
+    image = rng.uniform(30, 200) + 15 * _soft(size, rng, 30)
+    across, down = rng.uniform(10, 70), rng.uniform(8, 70)
+    wide, high = across * rng.uniform(0.15, 0.6), down * rng.uniform(0.15, 0.6)
+    tone = rng.uniform(10, 245)
+    upright = (np.arange(width) + rng.uniform(0, across)) % across < wide
+    level = (np.arange(height) + rng.uniform(0, down)) % down < high
+    image = np.where(upright | level[:, None], tone, image).astype(np.float32)
+    return _at_an_angle(image, rng, 0.06)
+
+
 def photographed(grey: FloatImage, rng: np.random.Generator) -> ByteImage:
     """Return grey levels (H, W) as a camera takes them, (H, W, 3)."""
     return expose(np.repeat(grey[..., None], 3, axis=2), Sensor(), rng)

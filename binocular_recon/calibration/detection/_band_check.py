@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from binocular_recon.calibration.detection._edge_fit import MAX_RESIDUAL, EdgeFit, RodFit
+from binocular_recon.calibration.target.board_plane import inside_image, marks_along
+from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import FloatImage, Mask
 
@@ -23,6 +25,11 @@ LEVEL_SPREAD = 0.06
 # A rod visibly goes on where its level is right within the first of these shares of the step and
 # differs from what is beside it by the second.
 SAME_LEVEL, MIN_CONTRAST = 0.2, 0.1
+# Something else looks like one of the rods if this share of the marks in view, and so many at
+# least, have levels on both sides within so much of the bands', as a share of their step. It may
+# be a little higher or lower, px. Several are a pattern; so many steps are from rod to rod.
+SAME_SHARE, SAME_LEAST, SAME_BANDS = 0.6, 3, 0.35
+SHIFTS_PX, PATTERN, STEPS = np.linspace(-3.0, 3.0, 5), 2, 40
 # An edge's step against the median of the board; levels of a band, as a share of the step.
 MIN_STEP, MAX_STEP, LEVEL_RANGE = 0.4, 2.0, 0.45
 
@@ -143,3 +150,68 @@ def _levels(image: FloatImage, rod: RodFit, fit: EdgeFit) -> FloatArray:
 def _dark_and_light(fit: EdgeFit, dark_below: bool) -> tuple[float, float]:
     """Return the levels of the bands that should be dark and light at an edge."""
     return (fit.below, fit.above) if dark_below else (fit.above, fit.below)
+
+
+def repeated(
+    middle: FloatImage,
+    rise_px: float,
+    width_px: float,
+    board: RodBoard,
+    marks_px: FloatArray,
+    levels: FloatArray | None,
+) -> bool:
+    """Return whether other things in the row look like its rods, as in lattices and facades.
+
+    Rods stand out from what is between and beside them. One thing more may be a rod that
+    ``rods.yaml`` does not list, or chance.
+
+    Parameters
+    ----------
+    middle : (H, W) float32
+        Grey levels, averaged over most of a rod's width.
+    rise_px, width_px : float
+        How far below and above an edge levels are compared; the width of the rods.
+    board : RodBoard
+        Positions of rods and marks.
+    marks_px : (R, M, 2) float64
+        The marks found; NaN = not found.
+    levels : (2,) float64 or None
+        Levels of dark and light bands; NaN or None = unknown.
+
+    """
+    size = middle.shape[1], middle.shape[0]
+    row = board.row_m[:, 0]
+    apart = float(np.ptp(row)) / (board.count - 1)
+    step = max(0.5 * board.rod_diameter_m, apart / STEPS)
+    places = marks_along(
+        board, marks_px, size, np.arange(row[0] - apart, row[-1] + apart + step, step)
+    )
+    if levels is None or not levels[1] > levels[0] or places is None:
+        return False
+    seen = inside_image(places, size, width_px)
+    for rod in marks_px[np.isfinite(marks_px[..., 0]).any(axis=1)]:
+        beside = np.abs(places - np.where(np.isfinite(rod), rod, np.inf)).min(
+            axis=1, initial=np.inf
+        )
+        seen[beside[:, 0] < 2 * width_px + 2] = False
+    up = places[:, -1] - places[:, 0]
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    most = np.zeros(len(places), int)
+    for shift in SHIFTS_PX:
+        below, above = (
+            _sampled(middle, places + (shift + side * rise_px) * up[:, None]) for side in (-1, 1)
+        )
+        for dark_below in (board.dark_below, ~board.dark_below):
+            kinds = np.where(dark_below, 0, 1)
+            off = np.maximum(abs(below - levels[kinds]), abs(above - levels[1 - kinds]))
+            same = seen & (off < SAME_BANDS * (levels[1] - levels[0]))
+            most = np.maximum(most, same.sum(axis=1))
+    alike = most >= np.maximum(SAME_LEAST, SAME_SHARE * seen.sum(axis=1))
+    return int(alike[0]) + int((alike[1:] & ~alike[:-1]).sum()) >= PATTERN
+
+
+def _sampled(image: FloatImage, points: FloatArray) -> FloatArray:
+    """Return the level at the pixel nearest to each point (..., 2), if it is in the image."""
+    limit = np.array(image.shape[::-1]) - 1
+    x, y = np.moveaxis(np.clip(np.rint(np.nan_to_num(points)), 0, limit).astype(int), -1, 0)
+    return image[y, x].astype(np.float64)

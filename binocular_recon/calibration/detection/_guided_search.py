@@ -9,6 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from binocular_recon.calibration.detection._band_check import repeated
 from binocular_recon.calibration.detection._layout_kernels import BESIDE
 from binocular_recon.calibration.detection._refinement import Refined, refine
 from binocular_recon.calibration.detection._search_kernels import search_line
@@ -166,10 +167,10 @@ def _off(board: RodBoard, marks_px: FloatArray, plane_px: FloatArray) -> tuple[f
 
 
 def goes_on(image: FloatImage, averaged: Averaged, board: RodBoard, refined: Refined) -> bool:
-    """Return whether the pattern of a board goes on beyond its ends, as that of a facade does.
+    """Return whether the pattern of a board goes on, as that of a facade or lattice does.
 
-    Real rods and rows end. One more rod at the same distance, or two more marks on most rods,
-    with the same levels and as sharp, are no chance.
+    Rods are unlike what is between them, and real rods and rows end. One more rod at the same
+    distance, or two more marks on most rods, with the same levels and as sharp, are no chance.
 
     Parameters
     ----------
@@ -184,6 +185,9 @@ def goes_on(image: FloatImage, averaged: Averaged, board: RodBoard, refined: Ref
 
     """
     width, height = image.shape[1], image.shape[0]
+    bands = averaged.rises_px[0], averaged.width_px
+    if repeated(averaged.middle, *bands, board, refined.marks_px, refined.levels):
+        return True
     extended = _extended(board)
     inner = np.s_[1:-1, PERIOD:-PERIOD]
     known = np.full((extended.count, extended.marks_per_rod, 2), np.nan)

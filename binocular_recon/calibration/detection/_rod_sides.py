@@ -32,20 +32,18 @@ ROD_STEPS, LINE_STEPS, WIDTH_STEPS = 11, 3, 7
 LINE_STEP = 0.33
 # What the rods of an image have in common: width against rod_diameter, S1 and S2 at their middle,
 # blur (px), how the lens bends them, at their middle and its change over BEND_REACH_PX, in
-# BEND_UNIT (1 / px), and the angle of view of an image's width (rad): expected value, its standard
-# deviation, and the largest change in one step. A rod seen more to the right shows the sun
-# more of its right side, by the angle between the lines of sight.
+# BEND_UNIT (1 / px), and the angle of view of an image's width (rad): expected value, standard
+# deviation, and largest change in one step. A rod more to the right shows the sun more of its
+# right side. SUN: a hard one is rare, but then far stronger, from FAR_SUN on: wide tails.
 COMMON_START = np.array([1.0, 0.0, 0.2, USUAL_BLUR_PX, 0.0, 0.0, 1.0])
 COMMON_SIGMA = np.array([0.1, 0.7, 0.7, 0.3, 1.0, 1.0, 0.3])
 COMMON_STEP = np.array([0.1, 0.3, 0.3, 0.2, 0.2, 0.2, 0.1])
 BEND_UNIT, BEND_REACH_PX = 1e-4, 500.0
-# S1 and S2 together from which they are no longer held near 0.
-FAR_SUN = 1.4
+SUN, FAR_SUN = np.array([0, 1, 1, 0, 0, 0, 0]), 1.4
 # Starts of S1, tried in turn until width and blur are as expected within so many sigmas.
 SUN_STARTS, MOST_STRAIN = (0.0, 1.5, -1.5), 4.5
-OWN = 2
-# Largest number of rows of a rod that are fitted; neighbouring rows add little.
-MAX_ROWS = 160
+# Number of a rod's own parameters, and of its rows that are fitted: neighbouring ones add little.
+OWN, MAX_ROWS = 2, 160
 # Rows this near to an edge are left out of the fit of the sides, px (and the rod's lean).
 GUARD_PX = 2.5
 # Rows used beyond the outermost marks, as a share of a spacing.
@@ -239,11 +237,8 @@ def _start(
 
 def _common_change(systems: list[tuple[FloatArray, FloatArray]], common: FloatArray) -> FloatArray:
     """Solve for the common parameters with each rod's own line eliminated."""
-    prior, step = 1 / COMMON_SIGMA**2, COMMON_STEP.copy()
-    # a hard sun is rare, but then far stronger than usual: a prior with wide tails
-    sun = float(np.hypot(*common[1:3]))
-    prior[1:3] /= 1 + (sun / FAR_SUN) ** 2
-    step[1:3] *= 1 + sun
+    sun = SUN * np.hypot(*common[1:3])
+    prior, step = 1 / (COMMON_SIGMA**2 * (1 + (sun / FAR_SUN) ** 2)), COMMON_STEP * (1 + sun)
     total, pull = np.diag(prior), prior * (COMMON_START - common)
     for normal, gradient in systems:
         weight = np.linalg.solve(normal[:OWN, :OWN], normal[:OWN, OWN:])
@@ -271,8 +266,7 @@ def _normal_equations(
     combine[[R0, R1], 2] = side.half_row_px
     combine[[S1, S2], 3:5] = side.turn(common)
     combine[C2, 6:8] = side.bend
-    s1, s2 = parameters[[S1, S2]]
-    combine[[S1, S2], 8] = side.aside * np.array([s2, -s1])
+    combine[[S1, S2], 8] = side.aside * parameters[[S2, S1]] * [1, -1]
     normal, gradient = combine.T @ normal @ combine, combine.T @ gradient
     residual, weight = side.rows[:, 4], side.rows[:, 2]
     used = np.isfinite(residual) & (weight > 0)

@@ -50,11 +50,10 @@ AMBIGUOUS = (
     'too little of the board is in view to tell which rods and heights these are; show one more'
     ' rod or the feet'
 )
-
-
 ENDLESS = (
-    'what looks like the board goes on beyond its ends, as a facade does; if these are the rods,'
-    ' list all that stand in the row, and all their marks, in rods.yaml'
+    'what looks like the board goes on between its rods or beyond its ends, as facades and'
+    ' lattices do; if these are the rods, list all that stand in the row, and all their marks, in'
+    ' rods.yaml'
 )
 
 

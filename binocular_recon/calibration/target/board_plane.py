@@ -57,6 +57,31 @@ def plane_marks(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) ->
     return projected
 
 
+def marks_along(
+    board: RodBoard, marks_px: FloatArray, size: tuple[int, int], along_m: FloatArray
+) -> FloatArray | None:
+    """Return where marks of other rods would be, ``along_m`` (N,) along the row: (N, M, 2) px.
+
+    NaN behind the camera. None if fewer than two rods have two marks each. ``marks_px`` (R, M, 2)
+    are those found, ``size`` is width and height of the image, px.
+    """
+    matrix = _camera(board, marks_px, size)
+    if matrix is None:
+        return None
+    across, off = board.row_m.T
+    points = np.zeros((along_m.size, board.marks_per_rod, 3))
+    points[..., 0] = along_m[:, None]
+    points[..., 1] = board.world_points()[0, :, 1]
+    points[..., 2] = np.interp(along_m, across, off)[:, None]
+    found = np.isfinite(marks_px[..., 0])
+    depth = points @ matrix[2, :3] + matrix[2, 3]
+    usual = np.median(_row_points(board)[found] @ matrix[2, :3] + matrix[2, 3])
+    projected: FloatArray = np.where(
+        (depth * usual > 0)[..., None], project(matrix, points), np.nan
+    )
+    return projected
+
+
 def predict_marks(
     board: RodBoard, marks_px: FloatArray, plane_px: FloatArray | None
 ) -> FloatArray:

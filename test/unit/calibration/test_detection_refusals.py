@@ -12,6 +12,7 @@ import pytest
 
 from binocular_recon.calibration.detection import detect
 from binocular_recon.calibration.detection._board_layout import Layout
+from binocular_recon.calibration.detection._guided_search import stray_rods
 from binocular_recon.calibration.detection._identity import scattered
 from binocular_recon.calibration.detection.detect import _settle, detect_rods
 from binocular_recon.calibration.target.board_plane import slant
@@ -19,7 +20,7 @@ from binocular_recon.errors import ImageError
 from binocular_recon.io.image_files import read_image_file
 from binocular_recon.simulation.capture import CaptureOptions, simulate_capture
 from binocular_recon.simulation.rods import paper_board, place_board
-from test.lookalikes import LOOKALIKES, checks, lookalike, photographed
+from test.lookalikes import LOOKALIKES, checks, lattice, lookalike, photographed
 from test.rod_images import LEFT, RIG, board_of, image_of
 
 pytestmark = pytest.mark.long
@@ -185,7 +186,9 @@ def test_a_pattern_that_goes_on_is_no_board(rods: int, marks: int, distance_m: f
     image, placed = image_of(standing, (0.0, 1.2, distance_m))
     detection = detect_rods(image, paper_board())
     assert not detection.found.any()
-    assert 'goes on beyond its ends, as a facade does; if these are the' in detection.messages[0]
+    assert (
+        'or beyond its ends, as facades and lattices do; if these are the' in detection.messages[0]
+    )
     whole = detect_rods(image, standing)
     assert np.nanmax(np.abs(whole.marks_px - placed.marks_px(LEFT))) < 0.3
 
@@ -195,6 +198,52 @@ def test_panels_of_a_facade_are_no_board() -> None:
     rng = np.random.default_rng([0, 99, 0])
     image = photographed(checks((400, 260), rng), rng)
     assert not detect_rods(image, paper_board()).found.any()
+
+
+def test_a_lattice_is_no_board() -> None:
+    """Bars in two directions: three columns of gaps fit three rods, and so do all others."""
+    rng = np.random.default_rng([200, 0, 77])
+    image = photographed(lattice((400, 260), rng), rng)
+    board = board_of([0.0, 1.0, 2.0], [0.3 * i for i in range(1, 7)])
+    detection = detect_rods(image, board)
+    assert not detection.found.any()
+    assert 'goes on between its rods or beyond its ends' in detection.messages[0]
+
+
+def test_one_thing_more_that_looks_like_a_rod_does_no_harm() -> None:
+    """A spare rod between two others is not listed; a second one would make it a pattern."""
+    standing = board_of([0.0, 0.6, 0.9, 1.2, 1.8, 2.4], [0.3 * i for i in range(1, 7)])
+    image, placed = image_of(standing, (0.0, 1.2, 8.0))
+    detection = detect_rods(image, paper_board())
+    assert detection.found.all()
+    truth = placed.marks_px(LEFT)[[0, 1, 3, 4, 5]]
+    assert np.abs(detection.marks_px - truth).max() < 0.3
+
+
+def test_what_stands_beside_a_cut_rod_is_none() -> None:
+    """Three edges of a window beside the image border, 0.1 m from where the fifth rod must be."""
+    board = paper_board()
+    placed = place_board(board, np.zeros(3), np.array([0.0, 1.2, 8.0]), np.random.default_rng(0))
+    marks = placed.marks_px(LEFT)
+    size = LEFT.camera.size
+    scale = np.linalg.norm(marks[4, 5] - marks[4, 0]) / 1.5
+    marks[4, [0, 1, 4]] = np.nan
+    assert not stray_rods(board, marks, size).any()
+    beside = marks.copy()
+    beside[4, :, 0] -= 0.13 * scale
+    np.testing.assert_array_equal(stray_rods(board, beside, size), [0, 0, 0, 0, 1])
+    leaning = marks.copy()
+    leaning[4, :, 0] += 0.08 * scale * np.linspace(-0.75, 0.75, 6)
+    np.testing.assert_array_equal(stray_rods(board, leaning, size), [0, 0, 0, 0, 1])
+    whole = placed.marks_px(LEFT)
+    whole[4, :, 0] -= 0.13 * scale  # six marks with the right spacing vouch for themselves
+    assert not stray_rods(board, whole, size).any()
+    lone = placed.marks_px(LEFT)
+    lone[2, 1:] = np.nan
+    np.testing.assert_array_equal(stray_rods(board, lone, size), [0, 0, 1, 0, 0])
+    few = beside.copy()
+    few[1:3] = np.nan  # of two rods nothing can be said of a third one
+    assert not stray_rods(board, few, size)[4]
 
 
 def test_trees_are_no_board(shared_data: Path) -> None:

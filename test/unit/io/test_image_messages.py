@@ -14,6 +14,7 @@ import pytest
 
 from binocular_recon.errors import ImageError
 from binocular_recon.images import to_grey
+from binocular_recon.io.messages.encodings import ENCODINGS
 from binocular_recon.io.messages.images import fill_image, image_samples, read_image, stamp_ns
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=3, nanosec=7), frame_id='left')
@@ -151,6 +152,60 @@ def test_image_that_does_not_fit_the_encoding(encoding: str) -> None:
     message = image_message(np.zeros((1, 1), np.uint8), 'mono8')
     with pytest.raises(ImageError, match=f"cannot be written as '{encoding}'"):
         fill_image(message, np.zeros((4, 4), np.uint8), encoding, HEADER)
+
+
+@pytest.mark.parametrize(
+    ('name', 'encoding'),
+    [
+        ('Mono8', 'mono8'),
+        ('RGB8', 'rgb8'),
+        ('Y8', 'mono8'),
+        ('GRAY16', 'mono16'),
+        ('Y16', 'mono16'),
+        ('mono12', 'mono16'),
+        ('BayerRG8', 'bayer_rggb8'),
+        ('BayerGB12', 'bayer_gbrg16'),
+        ('bayer_grbg10', 'bayer_grbg16'),
+        ('YUV422_8_UYVY', 'uyvy'),
+        ('YUY2', 'yuyv'),
+    ],
+)
+def test_what_drivers_call_an_encoding(name: str, encoding: str) -> None:
+    dtype, channels = ENCODINGS[encoding][:2]
+    shape = (6, 8) if channels == 1 else (6, 8, channels)
+    samples = np.random.default_rng(3).integers(0, 200, shape).astype(dtype)
+    image, kept = read_image(image_message(samples, name))
+    expected, plain = read_image(image_message(samples, encoding))
+    np.testing.assert_array_equal(image, expected)
+    assert kept == plain and kept in ENCODINGS
+
+
+@pytest.mark.parametrize('encoding', ['nv12', 'NV21', 'nv24'])
+def test_the_brightness_of_planes_is_read(encoding: str) -> None:
+    grey = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    chroma = np.full((6 if encoding == 'nv24' else 3, 8), 128, np.uint8)
+    message = image_message(grey, encoding, data=np.vstack([grey, chroma]).tobytes())
+    image, kept = read_image(message)
+    np.testing.assert_array_equal(image, grey)
+    assert kept == 'mono8'
+
+
+@pytest.mark.parametrize('bits', [12, 14])
+@pytest.mark.parametrize('encoding', ['mono16', '16UC1', 'bayer_rggb16'])
+def test_exchanged_bytes_are_said(encoding: str, bits: int) -> None:
+    """Counts of most of the range, stored with the other order than is_bigendian says."""
+    y, x = np.mgrid[:120, :160]
+    texture = np.random.default_rng(4).normal(0, 0.01, (120, 160))
+    levels = (0.5 + 0.3 * np.sin(x / 13) * np.cos(y / 17) + texture) * 2**bits
+    samples = levels.astype(np.uint16)
+    assert read_image(image_message(samples, encoding)).image.dtype == np.uint16
+    error = (
+        r'exchanged bytes: with is_bigendian [01] neighbouring .* by [01]\.\d\d times .* correct'
+    )
+    with pytest.raises(ImageError, match=error):
+        read_image(image_message(samples.byteswap(), encoding))
+    noise = np.random.default_rng(5).integers(0, 2**bits, samples.shape).astype(np.uint16)
+    read_image(image_message(noise, encoding))  # either order is noise
 
 
 def compressed(file: Any, codec: str) -> SimpleNamespace:

@@ -38,7 +38,7 @@ def ini_values(text: str) -> dict[str, Any]:
             words[name] += line.split()
     for name, found in words.items():
         if name.startswith('image'):
-            values[name] = int(found[0]) if len(found) == 1 and found[0].isdecimal() else found
+            values[name] = found[0] if len(found) == 1 else found
         elif found:
             values[name] = {'data': found}
     return values

@@ -335,6 +335,26 @@ def put(*path: str, value: Any) -> Change:
     return change
 
 
+def ros_ini(folder: Path, ending: str = 'ini') -> list[Path]:
+    """Write the older format of ROS's camera_calibration_parsers, as cameracalibrator does."""
+    rig, paths = true_rig(), []
+
+    def lines(values: FloatArray) -> str:
+        return '\n'.join(' '.join(repr(float(one)) for one in row) for row in values)
+
+    for name, camera in (('left', rig.left), ('right', rig.right)):
+        path = folder / f'{name}.{ending}'
+        path.write_text(
+            f'# oST version 5.0 parameters\n\n[image]\n\nwidth\n{SIZE[0]}\n\nheight\n{SIZE[1]}\n\n'
+            '[externals]\n\ntranslation\n0 0 0\n\nrotation\n0 0 0\n\n'
+            f'[narrow_stereo/{name}]\n\ncamera matrix\n{lines(camera.K)}\n\n'
+            f'distortion\n{lines(np.pad(camera.D, (0, 5 - camera.D.size))[None])}\n\n'
+            f'rectification\n{lines(camera.R)}\n\nprojection\n{lines(camera.P)}\n'
+        )
+        paths.append(path)
+    return paths
+
+
 WRITERS: dict[str, Callable[[Path], list[Path]]] = {
     'opencv sample': opencv_sample,
     'opencv sample, xml': lambda folder: opencv_sample(folder, 'xml', size=True),
@@ -346,6 +366,8 @@ WRITERS: dict[str, Callable[[Path], list[Path]]] = {
     'ros, printed': ros_printed,
     'ros, printed by ros 1': lambda folder: ros_printed(folder, ('a', 'b'), 'DKRP'),
     'kalibr with tabs': lambda folder: tabbed(kalibr(folder)),
+    'ros, ini': ros_ini,
+    'ros, ost.txt': lambda folder: ros_ini(folder, 'txt'),
     'ros by opencv': opencv_of_ros,
     'ros by opencv, other names': lambda folder: opencv_of_ros(folder, ('a', 'b')),
     'kalibr': kalibr,
