@@ -33,10 +33,11 @@ MIN_MARKS = 2
 MOST_BEYOND = 0.5
 # Something in front of the rod may come this near to an edge, px.
 NEAR_RISE_PX = 2.0
-# A rod with at most this share of its marks must stand, and lean, within so many standard
-# deviations of where the others say; these are at least so large, m and rad.
-WEAK_SHARE, MOST_SIGMAS = 0.5, 5.0
-LEAST_PLACE_M, LEAST_LEAN = 0.005, 0.005
+# A rod with at most this share of its marks must stand and lean within so many standard
+# deviations of where the others say. The stated ones, at least so large, m and rad, count as much
+# as what so many rods show.
+WEAK_SHARE, MOST_SIGMAS = 0.5, 4.0
+LEAST_PLACE_M, LEAST_LEAN, STATED = 0.005, 0.005, 4
 
 
 class Averaged(NamedTuple):
@@ -146,12 +147,13 @@ def stray_rods(board: RodBoard, marks_px: FloatArray, size: tuple[int, int]) -> 
         if plane is None or not np.isfinite(plane[rod]).all():
             continue
         off = np.array([_off(board, marks_px[one], plane[one]) for one in (*others, rod)])
-        usual = np.sqrt(np.sum(off[:-1] ** 2, axis=0) / max(len(others) - 3, 1))
+        shown, free = np.sum(off[:-1] ** 2, axis=0), len(others) - 3
+        usual = np.sqrt((shown + STATED * np.square(least)) / (free + STATED))
         # a projective map along the row is about as free as a parabola
         along = np.vander(board.row_m[:, 0] - board.row_m[others, 0].mean(), 3)
         weights = along[rod] @ np.linalg.pinv(along[others])
-        sigmas = np.maximum(usual, least) * np.sqrt(1 + weights @ weights)
-        stray[rod] = bool((np.abs(off[-1]) > MOST_SIGMAS * sigmas).any())
+        sigmas = usual * np.sqrt(1 + weights @ weights)
+        stray[rod] = bool(np.linalg.norm(off[-1] / sigmas) > MOST_SIGMAS)
     return stray
 
 

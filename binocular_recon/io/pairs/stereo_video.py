@@ -49,9 +49,10 @@ class VideoPair:
 
         Raises an ImageError if one is damaged or has another size than its calibration.
         """
-        for frame, name in zip(self.frames, self.names, strict=False):
+        cameras = self.rig.left, self.rig.right
+        for frame, name, camera in zip(self.frames, self.names, cameras, strict=False):
             size = frame.content.width * len(self.frames) // 2, frame.content.height
-            check_image_size(size, self.rig.left.size, name)  # before it is converted
+            check_image_size(size, camera.size, name)  # before it is converted
         found = [frame.image(name) for frame, name in zip(self.frames, self.names, strict=False)]
         if len(found) == 1:
             half = found[0].shape[1] // 2
@@ -105,8 +106,8 @@ class StereoVideo:
         self._by = by or 'time'
         if self._by == 'number':
             raise ConfigError('frames of videos have no names; give --pair-by time or order')
-        for video in self._videos:
-            check_image_size(video.size, rig.left.size, str(video.path))
+        for video, camera in zip(self._videos, (rig.left, rig.right), strict=True):
+            check_image_size(video.size, camera.size, str(video.path))
         if self._by == 'time':
             tolerance_ns = tolerance_ns or self._half_period_ns()
         elif left.expected and right.expected and left.expected != right.expected:
