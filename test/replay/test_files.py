@@ -225,6 +225,22 @@ def test_two_videos_and_one_give_the_clouds_of_the_bag(
     assert 'both.mkv (192x72 px, 4 frames, 10 per second) shows left and right side' in said
 
 
+def test_videos_of_two_sizes(tmp_path: Path) -> None:
+    """The right camera has a larger image: each video has the size of its own camera."""
+    true = rig()
+    border = 8
+    K = true.right.K + np.array([[0, 0, border], [0, 0, border], [0, 0, 0]])
+    size = {'width': true.right.width + 2 * border, 'height': true.right.height + 2 * border}
+    (tmp_path / 'rig').mkdir()
+    write_rig(tmp_path / 'rig', StereoRig(true.left, replace(true.right, K=K, **size)))
+    framed = [np.pad(pair[1], border, 'edge') for pair in PAIRS]
+    left = write_video(tmp_path / 'left.mkv', [pair[0] for pair in PAIRS])
+    right = write_video(tmp_path / 'right.mkv', framed)
+    assert run(tmp_path / 'rig', tmp_path / 'out', left, right) == 0
+    assert frames_of(tmp_path / 'out') == FRAMES
+    assert summary_of(tmp_path / 'out')['right_image_size'] == list(size.values())
+
+
 @pytest.mark.long
 def test_two_processes_make_of_videos_what_one_makes(
     calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

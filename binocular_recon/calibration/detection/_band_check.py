@@ -214,4 +214,5 @@ def _sampled(image: FloatImage, points: FloatArray) -> FloatArray:
     """Return the level at the pixel nearest to each point (..., 2), if it is in the image."""
     limit = np.array(image.shape[::-1]) - 1
     x, y = np.moveaxis(np.clip(np.rint(np.nan_to_num(points)), 0, limit).astype(int), -1, 0)
-    return image[y, x].astype(np.float64)
+    levels: FloatArray = image[y, x].astype(np.float64)
+    return levels

@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 import yaml
 
 from binocular_recon.errors import CalibrationError, FileError
-from binocular_recon.io.calibrations.formats._ros_ini import ini_values, is_ini
+from binocular_recon.io.calibrations.formats.ros_ini import ini_values, is_ini
 from binocular_recon.io.text_files import (
     LARGEST_YAML,
     check_size,
