@@ -21,7 +21,7 @@ import binocular_recon
 from binocular_recon.cli.main import COMMANDS
 from binocular_recon.config import PRESETS, ChainConfig, MatchConfig
 from binocular_recon.io.calibrations import FORMATS
-from binocular_recon.io.messages.images import ENCODINGS
+from binocular_recon.io.messages.encodings import ENCODINGS
 from binocular_recon.lenses import LENSES
 from binocular_recon.stereo.rectification import LARGEST_SIDE_PX
 from test.conftest import REPOSITORY

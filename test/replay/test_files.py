@@ -230,15 +230,18 @@ def test_videos_of_two_sizes(tmp_path: Path) -> None:
     true = rig()
     border = 8
     K = true.right.K + np.array([[0, 0, border], [0, 0, border], [0, 0, 0]])
-    size = {'width': true.right.width + 2 * border, 'height': true.right.height + 2 * border}
+    width, height = (one + 2 * border for one in true.right.size)
     (tmp_path / 'rig').mkdir()
-    write_rig(tmp_path / 'rig', StereoRig(true.left, replace(true.right, K=K, **size)))
+    write_rig(
+        tmp_path / 'rig',
+        StereoRig(true.left, replace(true.right, K=K, width=width, height=height)),
+    )
     framed = [np.pad(pair[1], border, 'edge') for pair in PAIRS]
     left = write_video(tmp_path / 'left.mkv', [pair[0] for pair in PAIRS])
     right = write_video(tmp_path / 'right.mkv', framed)
     assert run(tmp_path / 'rig', tmp_path / 'out', left, right) == 0
     assert frames_of(tmp_path / 'out') == FRAMES
-    assert summary_of(tmp_path / 'out')['right_image_size'] == list(size.values())
+    assert summary_of(tmp_path / 'out')['right_image_size'] == [width, height]
 
 
 @pytest.mark.long
