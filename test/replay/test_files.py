@@ -241,7 +241,12 @@ def test_videos_of_two_sizes(tmp_path: Path) -> None:
     right = write_video(tmp_path / 'right.mkv', framed)
     assert run(tmp_path / 'rig', tmp_path / 'out', left, right) == 0
     assert frames_of(tmp_path / 'out') == FRAMES
-    assert summary_of(tmp_path / 'out')['right_image_size'] == [width, height]
+    sides = write_images(tmp_path)
+    for index, image in enumerate(framed):
+        cv2.imwrite(str(tmp_path / 'right' / f'right_{9 + index}.png'), image)
+    assert run(tmp_path / 'rig', tmp_path / 'files', *sides) == 0
+    for path in (tmp_path / 'files').glob('*.p[fl][my]'):
+        assert (tmp_path / 'out' / path.name).read_bytes() == path.read_bytes()
 
 
 @pytest.mark.long
