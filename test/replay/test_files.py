@@ -236,7 +236,8 @@ def test_videos_of_two_sizes(tmp_path: Path) -> None:
         tmp_path / 'rig',
         StereoRig(true.left, replace(true.right, K=K, width=width, height=height)),
     )
-    framed = [np.pad(pair[1], border, 'edge') for pair in PAIRS]
+    edges = (*[border] * 4, cv2.BORDER_REPLICATE)
+    framed = [cv2.copyMakeBorder(pair[1], *edges) for pair in PAIRS]
     left = write_video(tmp_path / 'left.mkv', [pair[0] for pair in PAIRS])
     right = write_video(tmp_path / 'right.mkv', framed)
     assert run(tmp_path / 'rig', tmp_path / 'out', left, right) == 0
