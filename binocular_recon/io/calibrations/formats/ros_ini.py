@@ -37,8 +37,7 @@ def ini_values(text: str) -> dict[str, Any]:
         elif name and not line.startswith(('#', ';')):
             words[name] += line.split()
     for name, found in words.items():
-        if name.startswith('image'):
-            values[name] = found[0] if len(found) == 1 else found
-        elif found:
-            values[name] = {'data': found}
+        if found:
+            single = name.startswith('image') and len(found) == 1
+            values[name] = found[0] if single else {'data': found}
     return values

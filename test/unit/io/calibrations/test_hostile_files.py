@@ -49,7 +49,7 @@ BOMB = ''.join(
             '[LEFT_CAM_HD]\nfx=5',
             r"zed\.conf \(it begins with '\[LEFT_CAM_HD\]'\); ROS",
         ),
-        ('ost.ini', '# oST\n[image]\n\nwidth\n640', r"ost\.ini \(it begins with '# oST'\);"),
+        ('ost.ini', '# oST\n[image]\n\nwidth\n640', r'ost\.ini \(it has image_width\);'),
         (
             'K.npz',
             'PK\x03\x04',
