@@ -27,7 +27,7 @@ from binocular_recon.drawing.page import (
     section,
     table,
 )
-from binocular_recon.number_text import day_text, plain, significant
+from binocular_recon.number_text import counted, day_text, plain, significant
 
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
@@ -62,7 +62,7 @@ def render_report(
         parameters(result),
     )
     subtitle = f'{day_text(date)} · ' if date else ''
-    subtitle += f'{len(result.names)} boards, {result.sizes}'
+    subtitle += f'{counted(len(result.names), "board")}, {result.sizes}'
     footer = 'Uncertainties are one standard deviation.'
     return page('Stereo calibration', sections, footer, subtitle=subtitle)
 

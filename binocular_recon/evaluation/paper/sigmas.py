@@ -22,7 +22,7 @@ from binocular_recon.evaluation.paper.site import Site, simulate_site
 from binocular_recon.evaluation.tables import markdown_table
 from binocular_recon.images import Mask
 from binocular_recon.measurement.lengths import length_between
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 from binocular_recon.simulation.rig import RawRig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from binocular_recon.simulation.scene import trace_scene
@@ -258,7 +258,7 @@ def report(sites: Sequence[SiteSigmas]) -> str:
     )  # fmt: skip
     shares = [site.well_matched for site in sites]
     return (
-        f'{len(sites)} simulated sites, {BOARDS} boards with rods placed to'
+        f'{counted(len(sites), "simulated site")}, {BOARDS} boards with rods placed to'
         f' {1e3 * PLACEMENT_M:g} mm: points matched to'
         f' {WELL_MATCHED_PX:g} px ({np.mean(shares):.0%} of those away from outlines), and'
         f' lengths of {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g} m between them.\n\n'

@@ -78,7 +78,7 @@ def left_out(sources: ReportSources) -> str:
     ]  # fmt: skip
     notes = [text(one) for one in summary.get('damage') or []]
     if unpaired := summary.get('unpaired'):
-        notes.append(text(f'{unpaired} of {summary["images_read"]} images have no partner.'))
+        notes.append(text(f'{unpaired} of {summary["images_read"]} images without a partner.'))
     notes += [f'<b>Frame {text(index)}:</b> {text(words)}' for index, words in _warnings(summary)]
     if not summary.get('finished'):
         notes.append('The run was interrupted: more image pairs may exist.')
