@@ -61,7 +61,8 @@ def earlier_run(
     if summary.get('finished') or not frames:
         return None
     raise FileError(
-        f'{folder} holds {len(frames)} finished frames of an interrupted run that cannot be'
+        f'{folder} holds {counted(len(frames), "finished frame")} of an interrupted run that'
+        ' cannot be'
         f' continued: {reason}; choose another folder, or start over (--no-resume)'
     )
 

@@ -124,7 +124,8 @@ def reconstruct_pairs(
     sentence = results.sentence()
     unpaired, read = results.facts['unpaired'], results.facts['images_read']
     if unpaired:
-        sentence += f'; {unpaired} of {read} images without a partner'
+        has = counted(unpaired, f'of {read} images has', f'of {read} images have')
+        sentence += f'; {has} no partner'
     warning = few_matched_warning(results.matched, results.cause)
     if results.frames and warning:
         report(f'warning: {warning}')
@@ -184,10 +185,8 @@ def _raise_problems(
     problems = list(results.facts['damage'])
     if results.left_out:
         total = len(results.left_out) + len(results.frames)
-        problems.append(
-            f'left out are {len(results.left_out)} of {total} pairs, the first because'
-            f' {results.left_out[0]["reason"]}'
-        )
+        were = counted(len(results.left_out), f'of {total} pairs was', f'of {total} pairs were')
+        problems.append(f'{were} left out, the first because {results.left_out[0]["reason"]}')
     if results.refused and least_matched > 0:
         problems.append(f'{results.refused[0]}; or accept the result (--least-matched 0)')
     elif results.frames and results.matched < least_matched:

@@ -91,7 +91,7 @@ def _summary(result: CalibrationResult) -> str:
         ),
         (
             f'{len(result.names)}',
-            f'boards used, {marks} marks in both images, {result.sizes}',
+            f'boards used, {counted(marks, "mark")} in both images, {result.sizes}',
         ),
     )
     return cards(figures)
@@ -105,7 +105,8 @@ def _notes(result: CalibrationResult) -> str:
     ]
     if count := int(result.estimate.outliers.sum()):
         notes.append(
-            f'{count} single marks were left out: they are off by more than noise allows.'
+            counted(count, 'single mark was', 'single marks were')
+            + ' left out: off by more than noise allows.'
         )
     if not notes:
         return '<p class="good">Every board and every mark was used.</p>'

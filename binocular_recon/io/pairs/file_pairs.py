@@ -161,7 +161,7 @@ def _choose(
     if len(left) == len(right):
         return 'order'
     raise FileError(
-        f'there are {len(left)} left and {len(right)} right images, and nothing tells which belong'
+        f'left images: {len(left)}, right images: {len(right)}, and nothing tells which belong'
         ' together: most names have no number in common, and not all have an EXIF time of their'
         ' own; rename them, remove those without a partner, or give --pair-by'
     )
@@ -183,7 +183,7 @@ def _by_number(
 def _by_order(left: list[Path], right: list[Path]) -> list[tuple[int, int]]:
     if len(left) != len(right):
         raise FileError(
-            f'there are {len(left)} left and {len(right)} right images, so their order does not'
+            f'left images: {len(left)}, right images: {len(right)}, so their order does not'
             ' tell which belong together; remove those without a partner, or give --pair-by number'
             ' or time'
         )

@@ -20,6 +20,7 @@ from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.site.control_points import ControlPoint
 from binocular_recon.measurement.site.tie import SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined
+from binocular_recon.number_text import counted
 from binocular_recon.rotations import rigid_fit, rotation, similarity_derivatives
 
 LEAST_POINTS = 3
@@ -75,7 +76,8 @@ class Problem:
         self.control = [i for i, one in enumerate(control) if not one.check]
         if len(self.control) < LEAST_POINTS:
             raise MeasurementError(
-                f'there are {len(self.control)} control points, {LEAST_POINTS} that are not on one'
+                f'the table has {counted(len(self.control), "control point")}, {LEAST_POINTS}'
+                ' that are not on one'
                 ' line are the least; without them --level makes the vertical right'
             )
         self.all = joined(*points)

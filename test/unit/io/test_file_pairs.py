@@ -140,8 +140,8 @@ def test_times_pair_what_numbers_do_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('left', 'right', 'by', 'match'),
     [
-        (['a', 'b', 'c'], ['a', 'b'], None, 'are 3 left and 2 right images, and nothing tells'),
-        (['1', '2', '3'], ['1', '2'], 'order', 'are 3 left and 2 right images, so their order'),
+        (['a', 'b', 'c'], ['a', 'b'], None, 'left images: 3, right images: 2, and nothing tells'),
+        (['1', '2', '3'], ['1', '2'], 'order', 'left images: 3, right images: 2, so their order'),
         (['1', '2'], ['3', '4'], 'number', r'no number in common \(1.png, 3.png\)'),
         (['a', 'b'], ['1', '2'], 'number', r'no number in common \(a.png, 1.png\)'),
         (['1', '2'], ['1', '2'], 'time', r'2 images have no EXIF time: l/1.png, l/2.png;'),

@@ -14,7 +14,7 @@ from binocular_recon.drawing.measurements import Drawn, draw_measurement
 from binocular_recon.drawing.page import section, table
 from binocular_recon.images import to_bgr8
 from binocular_recon.measurement.results import Quantity
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 
 # Measurements that are drawn; of more the first.
 _MOST_IMAGES = 24
@@ -117,7 +117,7 @@ def control_points(sources: ReportSources) -> str:
     ]  # fmt: skip
     checks = [point for point in tie['points'] if 'error_m' in point]
     verdict = (
-        f'The {len(checks)} check points, which did not take part, are off by'
+        f'{counted(len(checks), "check point")}, with no part in the adjustment: off by'
         f' {_rms_mm(checks, "error_m")} mm (RMS of a coordinate).'
         if checks
         else 'No check points were measured.'
