@@ -31,7 +31,6 @@ STEP_PX = 1.0
 # The nearest surface with this share of the weight is meant: people measure things, not what
 # shows beside them.
 LEAST_SHARE = 0.35
-CORE = 0.65
 # A point agrees with the surface within about this, px of disparity.
 SCATTER_PX = 0.3
 # Half the side of the surroundings that a surface should go on into, px; disparities that differ
@@ -140,9 +139,9 @@ def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
     misfit = np.sqrt(np.average(off**2, weights=weight / (1 + (off / SCATTER_PX) ** 2) ** 2))
     # Windows of matching overlap: errors of the pixels are common to them, and do not average out.
     # But these pixels agree, so that they are not wrong altogether.
-    single_px = CORE * np.average(sigma_if_right(sigma), weights=weight)
-    surface = Surface(float(plane[0]), plane[1:], float(np.hypot(single_px, CORE * misfit)))
-    error_px = np.hypot(surface.sigma_px, _off_around(frame, pick, surface))
+    own_px = np.hypot(np.average(sigma_if_right(sigma), weights=weight), misfit)
+    surface = Surface(float(plane[0]), plane[1:], float(own_px))
+    error_px = np.hypot(own_px, _off_around(frame, pick, surface))
     return surface._replace(sigma_px=float(error_px))
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.camera import FloatArray, StereoRig
@@ -26,6 +25,7 @@ from binocular_recon.number_text import counted, fixed
 from binocular_recon.simulation.rig import RawRig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from binocular_recon.simulation.scene import trace_scene
+from binocular_recon.stereo.filtering.wls_filter import sigma_if_right
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from binocular_recon.stereo.point_covariance import joint_covariance
 from binocular_recon.stereo.rectification import rectification_maps
@@ -156,7 +156,8 @@ def compare(
     lengths = random_lengths(
         points[near],
         truth[near],
-        found.filtered.sigma_px[used][near],
+        # well matched: none of them is a mismatch
+        sigma_if_right(found.filtered.sigma_px[used][near].astype(np.float64)),
         rectified,
         np.random.default_rng(site.seed),
     )
@@ -213,7 +214,7 @@ def perfectly_matched_depths(site: Site, calibrated: StereoRig, points: FloatArr
 def random_lengths(
     points: FloatArray,
     truth: FloatArray,
-    sigma_px: npt.NDArray[np.float32],
+    sigma_px: FloatArray,
     rectified: StereoRig,
     rng: np.random.Generator,
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
