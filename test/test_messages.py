@@ -54,8 +54,8 @@ def plurals() -> Iterator[str]:
                 continue
             before = ''
             for value, behind in zip(node.values, [*node.values[1:], None], strict=True):
-                if isinstance(value, ast.Constant):
-                    before = str(value.value)
+                if not isinstance(value, ast.FormattedValue):
+                    before = str(ast.literal_eval(value))
                     continue
                 number = ast.unparse(value.value)
                 text = str(behind.value) if isinstance(behind, ast.Constant) else ''

@@ -135,7 +135,7 @@ def test_images_that_cannot_be_used_are_left_out_one_by_one(
         (('left', 'empty'), 1, 'no images for the right camera: it is empty'),
         (('left', 'right', '--namespace', 'rig'), 2, '--namespace is an option of a bag, not of'),
         (('left', 'right', '--pairing', 'stamps'), 2, '--pairing is an option of a bag'),
-        (('left', 'right', '--pair-by', 'time'), 1, 'have no EXIF time'),
+        (('left', 'right', '--pair-by', 'time'), 1, 'without an EXIF time'),
         (('left',), 2, 'is a folder of images; give the images of the left and of the right'),
         (('left', 'left'), 1, 'is named for both cameras'),
         (('left', 'film.mp4'), 1, 'are a video and images; give two of one kind'),

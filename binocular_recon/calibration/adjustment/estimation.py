@@ -25,7 +25,7 @@ from binocular_recon.calibration.adjustment.linearisation import State, linearis
 from binocular_recon.calibration.adjustment.planar import MIN_MARKS
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
-from binocular_recon.number_text import counted, significant
+from binocular_recon.number_text import significant
 
 # A mark farther off than this many standard deviations (of both axes together) is left out: one
 # good mark in 100,000 is.
@@ -286,8 +286,7 @@ def _worst_board(fit: Fit) -> tuple[int | None, str]:
     worst = int(np.argmin(left))
     if left[worst] < MIN_MARKS:
         return worst, (
-            f'only {counted(left[worst], "mark")} of one image can be used, at least'
-            f' {MIN_MARKS} are needed in each'
+            f'too few marks of one image fit: {left[worst]}, at least {MIN_MARKS} are needed in each'
         )
     return None, ''
 

@@ -201,9 +201,7 @@ def _by_time(
         without = [path for path, time in zip(files, side, strict=True) if time is None]
         if without:
             raise FileError(
-                f'{counted(len(without), "image has", "images have")} no EXIF time:'
-                f' {_listed(without)}; give --pair-by'
-                ' number or order'
+                f'images without an EXIF time: {_listed(without)}; give --pair-by number or order'
             )
     known = [[time for time in side if time is not None] for side in times]
     for files, stamps in zip((left, right), known, strict=True):

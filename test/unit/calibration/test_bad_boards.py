@@ -146,7 +146,7 @@ def test_a_board_with_too_few_good_marks_is_named() -> None:
 
     result = calibrate(spoilt(change), board_of(0.005), SIZE)
     (left_out,) = result.rejected
-    assert left_out.name == 'weak' and 'marks of one image can be used' in left_out.reason
+    assert left_out.name == 'weak' and 'marks of one image fit' in left_out.reason
     assert len(result.names) == 10
 
 

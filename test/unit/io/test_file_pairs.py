@@ -144,7 +144,7 @@ def test_times_pair_what_numbers_do_not(tmp_path: Path) -> None:
         (['1', '2', '3'], ['1', '2'], 'order', 'left images: 3, right images: 2, so their order'),
         (['1', '2'], ['3', '4'], 'number', r'no number in common \(1.png, 3.png\)'),
         (['a', 'b'], ['1', '2'], 'number', r'no number in common \(a.png, 1.png\)'),
-        (['1', '2'], ['1', '2'], 'time', r'2 images have no EXIF time: l/1.png, l/2.png;'),
+        (['1', '2'], ['1', '2'], 'time', r'images without an EXIF time: l/1.png, l/2.png;'),
     ],
 )
 def test_files_that_cannot_be_paired(
