@@ -61,6 +61,20 @@ def plain(value: float, digits: int = 6) -> str:
     return '0' if text == '-0' else text
 
 
+def counted(count: int, one: str, more: str = '') -> str:
+    """Return a number of things: ``1 frame``, ``2 frames``.
+
+    Parameters
+    ----------
+    count : int
+    one, more : str
+        What stands behind the number if it is 1, and else; without ``more`` an s is added to
+        ``one``. With a verb where it follows: ``'frame is', 'frames are'``.
+
+    """
+    return f'{count} {one if count == 1 else more or one + "s"}'
+
+
 def reach(far_m: float) -> str:
     """Return the depth up to which something goes, metres, or ``infinity``."""
     return f'{far_m:.1f} m' if math.isfinite(far_m) else 'infinity'

@@ -16,6 +16,7 @@ from typing import Any
 from binocular_recon.apps.summary_entries import RIG_ENTRY, SUMMARY, read_summary
 from binocular_recon.errors import FileError
 from binocular_recon.io.text_files import open_file
+from binocular_recon.number_text import counted
 
 # What of a summary says how the frames are made.
 MADE_FROM = ('source', 'preset', 'options', 'formats', 'versions')
@@ -60,7 +61,8 @@ def earlier_run(
     if summary.get('finished') or not frames:
         return None
     raise FileError(
-        f'{folder} holds {len(frames)} finished frames of an interrupted run that cannot be'
+        f'{folder} holds {counted(len(frames), "finished frame")} of an interrupted run that'
+        ' cannot be'
         f' continued: {reason}; choose another folder, or start over (--no-resume)'
     )
 
@@ -95,7 +97,7 @@ def joint_fingerprint(files: list[Path]) -> str:
     joint = hashlib.sha256()
     for path in files:
         joint.update(f'{path.name}: {_digest(path)}\n'.encode(errors='surrogateescape'))
-    return f'{len(files)} files, {joint.hexdigest()[:16]}'
+    return f'{counted(len(files), "file")}, {joint.hexdigest()[:16]}'
 
 
 def _digest(path: Path) -> str:

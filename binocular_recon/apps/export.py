@@ -13,6 +13,7 @@ from binocular_recon.apps.stored_frame import StoredFrame, stored_frames
 from binocular_recon.errors import ConfigError, FileError
 from binocular_recon.io.exports.placement import Placement
 from binocular_recon.io.files import ClaimedFolder, check_apart, complete_files
+from binocular_recon.number_text import counted
 
 _STORED = {*dir(StoredFrame), *(field.name for field in fields(StoredFrame))}
 # Formats that can be made from what an output folder holds.
@@ -69,8 +70,7 @@ def export(
                 progress.show(number)
     finally:
         claim.release()
-    count = f'{len(frames)} frames' if len(frames) > 1 else '1 frame'
     where = ''
     if placement:
         where = f', clouds in the frame of the site ({placement.crs or "local"})'
-    return f'{count} as {", ".join(specs)} in {output}{where}'
+    return f'{counted(len(frames), "frame")} as {", ".join(specs)} in {output}{where}'

@@ -28,7 +28,7 @@ from binocular_recon.io.files import (
     signals_deferred,
     write_json,
 )
-from binocular_recon.number_text import reach
+from binocular_recon.number_text import counted, reach
 from binocular_recon.stereo.diagnosis import Findings
 
 # What the summary says of the recording at the end.
@@ -268,7 +268,7 @@ class ResultFolder:
         median = statistics.median([depth['median'] for depth in depths] or [math.nan])
         density = statistics.fmean(frame['density'] for frame in self.frames)
         seconds = statistics.median(frame['seconds'] for frame in self.frames)
-        frames = f'{len(self.frames)} frames' if len(self.frames) > 1 else '1 frame'
+        frames = counted(len(self.frames), 'frame')
         return (
             f'{frames} in {self.folder}: {self.matched:.1%} of the pixels measured, {density:.1%}'
             f' with a disparity; points from {low:.2f} to {high:.2f} m (median {median:.2f} m),'

@@ -17,6 +17,7 @@ from binocular_recon.apps.pair_input import OpenInput, PairInput
 from binocular_recon.config import ChainConfig
 from binocular_recon.errors import BinocularReconError, ConfigError, FileError
 from binocular_recon.machine import machine_facts
+from binocular_recon.number_text import counted
 from binocular_recon.stereo.validity import (
     LEAST_MATCHED,
     REMEDY,
@@ -113,7 +114,8 @@ def reconstruct_pairs(
             with suppress(FileError):  # the disk may be full
                 results.write_summary(finished=False)
             if isinstance(error, KeyboardInterrupt):
-                kept = f'{len(results.frames)} finished frames are kept in {output}'
+                frames = counted(len(results.frames), 'finished frame is', 'finished frames are')
+                kept = f'{frames} kept in {output}'
                 raise type(error)(kept) from None
             raise
         finally:
@@ -122,7 +124,8 @@ def reconstruct_pairs(
     sentence = results.sentence()
     unpaired, read = results.facts['unpaired'], results.facts['images_read']
     if unpaired:
-        sentence += f'; {unpaired} of {read} images have no partner'
+        has = counted(unpaired, f'of {read} images has', f'of {read} images have')
+        sentence += f'; {has} no partner'
     warning = few_matched_warning(results.matched, results.cause)
     if results.frames and warning:
         report(f'warning: {warning}')
@@ -182,10 +185,8 @@ def _raise_problems(
     problems = list(results.facts['damage'])
     if results.left_out:
         total = len(results.left_out) + len(results.frames)
-        problems.append(
-            f'{len(results.left_out)} of {total} pairs were left out, the first because'
-            f' {results.left_out[0]["reason"]}'
-        )
+        were = counted(len(results.left_out), f'of {total} pairs was', f'of {total} pairs were')
+        problems.append(f'{were} left out, the first because {results.left_out[0]["reason"]}')
     if results.refused and least_matched > 0:
         problems.append(f'{results.refused[0]}; or accept the result (--least-matched 0)')
     elif results.frames and results.matched < least_matched:
@@ -195,5 +196,6 @@ def _raise_problems(
             ' (--least-matched 0)'
         )
     if problems:
-        kept = f'{len(results.frames)} frames are in {results.folder}'
+        frames = counted(len(results.frames), 'frame is', 'frames are')
+        kept = f'{frames} in {results.folder}'
         raise error('; '.join([*problems, kept]))

@@ -18,7 +18,7 @@ from binocular_recon.calibration.target.target import Target, seen_scale
 from binocular_recon.camera import FloatArray, StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.inputs.common_size import CommonSize
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import counted, significant
 from binocular_recon.stereo.point_covariance import calibration_derivatives
 from binocular_recon.stereo.rectification import rectified_points
 from binocular_recon.stereo.row_check import MOST_ROWS_PX
@@ -92,7 +92,7 @@ class Holding:
         """Say by how much rows differ and lengths are off."""
         text = f'{self.lines} differ by {self.rows_px:.2f} px'
         if not np.isfinite(self.scale_sigma):
-            return f'{text} ({self.marks} marks; too few to compare lengths)'
+            return f'{text} ({counted(self.marks, "mark")}; too few to compare lengths)'
         known = np.isfinite(self.calibration_sigma)
         share = (
             f'of it {significant(100 * self.calibration_sigma, 2)} % stated by the calibration'

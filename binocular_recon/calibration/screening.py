@@ -19,6 +19,7 @@ from binocular_recon.calibration.target.target import Target
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import CalibrationError
 from binocular_recon.lenses.registry import LENSES
+from binocular_recon.number_text import counted
 
 # Two boards determine a pinhole camera just so; a third one checks them.
 MIN_BOARDS = 3
@@ -202,7 +203,8 @@ def _check_rods(captures: Sequence[Capture], target: Target) -> None:
     if not seen.all():
         absent = ', '.join(str(rod + 1) for rod in np.flatnonzero(~seen))
         raise CalibrationError(
-            f'rods.yaml describes {len(seen)} rods, but rod {absent} was found on none of the'
+            f'rods.yaml describes {counted(len(seen), "rod")}, but rod {absent} was found on'
+            ' none of the'
             f' {len(captures)} boards; describe the rods that stand there'
         )
 

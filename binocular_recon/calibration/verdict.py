@@ -14,7 +14,7 @@ from binocular_recon.calibration.rectification.homography import ImageGrid
 from binocular_recon.calibration.screening import MIN_BOARDS, RECOMMENDED_BOARDS
 from binocular_recon.calibration.target.target import DEVIATIONS
 from binocular_recon.errors import CalibrationError
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import counted, significant
 
 # Marks of a good detector scatter by 0.1 to 0.3 px.
 NOISE_WARNING_PX, NOISE_LIMIT_PX = 0.6, 3.0
@@ -50,7 +50,8 @@ def warnings_of(
     problem = found.problem
     if len(found.boards) < RECOMMENDED_BOARDS:
         warnings.append(
-            f'{len(found.boards)} boards were used; depth is better known with'
+            f'{counted(len(found.boards), "board was", "boards were")} used; depth is better'
+            ' known with'
             f' {RECOMMENDED_BOARDS} or more'
         )
     worse = problem.placement_scale > 1

@@ -16,6 +16,7 @@ from binocular_recon.measurement.results import Measurement, Quantity, quantitie
 from binocular_recon.measurement.session import MeasuringSession
 from binocular_recon.measurement.snapping import check_inside
 from binocular_recon.measurement.uncertain import Uncertain, joined, propagate
+from binocular_recon.stereo.filtering.wls_filter import sigma_if_right
 
 # Most points of a face that are fitted.
 FACE_POINTS = 20_000
@@ -51,7 +52,9 @@ def measure_plane(session: MeasuringSession, names: tuple[str, ...]) -> Measurem
             f' polygon were measured, {ALIKE_PIXELS} are the least; pick a larger part'
         )
     every = count // FACE_POINTS + 1
-    points, sigma_px = frame.points_xyz[used][::every], frame.sigma_px[used][::every]
+    points = frame.points_xyz[used][::every]
+    # the pixels of a face agree
+    sigma_px = sigma_if_right(frame.sigma_px[used][::every].astype(np.float64))
     plane = fitted_plane(frame, points, ' '.join(names))
     normal = normal_of(plane.support.values)
     off = (points - plane.support.values[:3]) @ normal
@@ -142,7 +145,7 @@ def _samples(frame: MeasuredFrame, pixels: FloatArray) -> list[Uncertain]:
         if not used.any():
             continue
         disparity = np.asarray(np.median(frame.disparity_px[window][used]), np.float64)
-        sigma_px = float(np.median(frame.sigma_px[window][used]))
+        sigma_px = sigma_if_right(np.asarray(np.median(frame.sigma_px[window][used]), float))
         point = frame.point(pixel, disparity)
         per_px = -point / float(disparity - frame.rig.disparity_offset_px)
         effects = {('matching', f'sample {index}'): sigma_px * per_px[:, None]}

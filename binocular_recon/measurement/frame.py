@@ -71,7 +71,7 @@ class MeasuredFrame:
         cloud = triangulate(self.disparity_px, self.sigma_px, self.validity, self.rig, self.limits)
         return cloud.points_xyz.astype(np.float64)
 
-    @property
+    @cached_property
     def measured(self) -> Mask:
         """Which pixels were matched, (H, W)."""
         matched: Mask = (self.validity & Validity.MEASURED > 0) & np.isfinite(self.disparity_px)

@@ -23,6 +23,7 @@ from binocular_recon.measurement.planes import height_above
 from binocular_recon.measurement.results import Measurement, Quantity, quantities
 from binocular_recon.measurement.session import MeasuringSession
 from binocular_recon.measurement.uncertain import Uncertain, joined, propagate
+from binocular_recon.number_text import counted
 
 Names = tuple[str, ...]
 # Points closer than this are one, m.
@@ -68,8 +69,10 @@ def measure(session: MeasuringSession, request: Request) -> Measurement:
         )
     count = len(request.points)
     if count < kind.least or (kind.most and count > kind.most):
-        needed = f'{kind.least}' if kind.most == kind.least else f'at least {kind.least}'
-        raise MeasurementError(f'{request.kind} needs {needed} picks, got {count}')
+        needed = counted(kind.least, 'pick')
+        if kind.most != kind.least:
+            needed = f'at least {needed}'
+        raise MeasurementError(f'{request.kind} needs {needed}, got {count}')
     repeated = next((n for n in request.points if request.points.count(n) > 1), None)
     if repeated is not None:
         raise MeasurementError(f'{request.name} names the pick {repeated} twice')

@@ -17,6 +17,7 @@ from binocular_recon.errors import MeasurementError
 from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.robust_fits import consensus_fit, refined_fit
 from binocular_recon.measurement.uncertain import Uncertain
+from binocular_recon.number_text import counted
 
 # The camera is held level to this, degrees.
 MOST_TILT_DEG = 20.0
@@ -59,7 +60,8 @@ def fitted_ground(frame: MeasuredFrame) -> Plane:
     lower = lower[:: len(lower) // GROUND_POINTS + 1]
     if len(lower) < GROUND_POINTS // 100:
         raise MeasurementError(
-            f'the lower half of the cloud has {len(lower)} points, too few to find the ground;'
+            f'the lower half of the cloud has {counted(len(lower), "point")}, too few to find'
+            ' the ground;'
             ' widen the range of depths'
         )
     least = np.cos(np.deg2rad(MOST_TILT_DEG))
@@ -89,7 +91,8 @@ def fitted_plane(frame: MeasuredFrame, points_xyz: FloatArray, name: str) -> Pla
     rays, disparity = points_xyz / points_xyz[:, 2:], frame.focal_baseline / points_xyz[:, 2]
     if len(points_xyz) < 3 or np.linalg.matrix_rank(rays) < 3:
         raise MeasurementError(
-            f'{name}: {len(points_xyz)} points span no plane; pick a larger one'
+            f'{name}: {counted(len(points_xyz), "point spans", "points span")} no plane; pick'
+            ' a larger one'
         )
     ones = np.ones(len(rays))
     start = consensus_fit(rays, disparity, ones, 2 * SCATTER_PX)

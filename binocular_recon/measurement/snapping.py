@@ -33,6 +33,9 @@ STEP_PX = 1.0
 LEAST_SHARE = 0.35
 # A point agrees with the surface within about this, px of disparity.
 SCATTER_PX = 0.3
+# Half the side of the surroundings that a surface should go on into, px; disparities that differ
+# by more from it are of another thing; about how far the others scatter, px of disparity.
+AROUND_PX, OTHER_THING_PX, AROUND_SCATTER_PX = 10, 3.0, 0.5
 # The rows of picks in both images agree within this.
 MOST_PICKED_ROWS_PX = 2 * MOST_ROWS_PX
 _REASONS = (
@@ -136,8 +139,32 @@ def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
     misfit = np.sqrt(np.average(off**2, weights=weight / (1 + (off / SCATTER_PX) ** 2) ** 2))
     # Windows of matching overlap: errors of the pixels are common to them, and do not average out.
     # But these pixels agree, so that they are not wrong altogether.
-    error_px = np.hypot(np.average(sigma_if_right(sigma), weights=weight), misfit)
-    return Surface(float(plane[0]), plane[1:], float(error_px))
+    own_px = np.hypot(np.average(sigma_if_right(sigma), weights=weight), misfit)
+    surface = Surface(float(plane[0]), plane[1:], float(own_px))
+    error_px = np.hypot(own_px, _off_around(frame, pick, surface))
+    return surface._replace(sigma_px=float(error_px))
+
+
+def _off_around(frame: MeasuredFrame, pick: Pick, surface: Surface) -> float:
+    """Return how far a surface is off the plane of its surroundings at the pick, px of disparity.
+
+    Wrong matches of neighbours agree with each other, but where they end is a step. What differs
+    so much that it is another thing says nothing about this one.
+    """
+    column, row = np.rint(pick.pixel).astype(int)
+    rows = slice(max(0, row - AROUND_PX), row + AROUND_PX + 1)
+    columns = slice(max(0, column - AROUND_PX), column + AROUND_PX + 1)
+    down, across = np.nonzero(frame.measured[rows, columns])
+    disparity = frame.disparity_px[rows, columns][down, across].astype(np.float64)
+    offsets = np.column_stack([across + columns.start, down + rows.start]) - pick.pixel
+    design = np.column_stack([np.ones(len(offsets)), offsets])
+    off = disparity - design @ [surface.disparity_px, *surface.slope]
+    near = np.abs(off) < OTHER_THING_PX
+    if np.linalg.matrix_rank(design[near]) < 3:
+        return 0.0
+    start = np.linalg.lstsq(design[near], off[near], rcond=None)[0]
+    around = refined_fit(design, off, np.ones(len(off)), AROUND_SCATTER_PX, start)
+    return float(around[0])
 
 
 def _intersection(

@@ -20,6 +20,7 @@ from binocular_recon.errors import MeasurementError
 from binocular_recon.images import Mask
 from binocular_recon.machine import optional_package
 from binocular_recon.measurement.frame import MeasuredFrame
+from binocular_recon.number_text import counted
 from binocular_recon.rotations import rigid_fit, similarity_derivatives
 
 # A match of features is clear if the second best is farther by this factor.
@@ -84,7 +85,8 @@ def find_pose(here: MeasuredFrame, there: MeasuredFrame) -> Pose:
     agree = _consensus(a, b, sigma)
     if agree.sum() < LEAST_PAIRS:
         raise MeasurementError(
-            f'only {int(agree.sum())} features are seen in both at places that fit together, at'
+            f'only {counted(int(agree.sum()), "feature is", "features are")} seen in both at'
+            ' places that fit together, at'
             f' least {LEAST_PAIRS} are needed; let the stations see more of the same from similar'
             ' directions, or georeference each with control points'
         )

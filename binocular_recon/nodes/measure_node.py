@@ -29,6 +29,7 @@ from binocular_recon.nodes.runtime.base_node import BaseNode
 from binocular_recon.nodes.runtime.endpoints import Input, Output, create_input
 from binocular_recon.nodes.runtime.options import CalibrationOptions
 from binocular_recon.nodes.runtime.process import run_node
+from binocular_recon.number_text import counted
 from binocular_recon.options import Options, option
 from binocular_recon.stereo.point_covariance import sigma_shares
 
@@ -92,7 +93,7 @@ class MeasureNode(BaseNode):
         """Return level and summary for /diagnostics."""
         if self._cloud is None:
             return DiagnosticStatus.STALE, 'no cloud on points2 yet'
-        return DiagnosticStatus.OK, f'{len(self._picks)} points clicked'
+        return DiagnosticStatus.OK, f'{counted(len(self._picks), "point")} clicked'
 
     @property
     def _covariance_known(self) -> bool:
@@ -120,7 +121,7 @@ class MeasureNode(BaseNode):
         self._forget()
         if MarkerArray is not None:
             self.publish(_MARKERS, MarkerArray(markers=[Marker(action=3)]))
-        response.success, response.message = True, f'{count} points forgotten'
+        response.success, response.message = True, f'{counted(count, "point")} forgotten'
         return response
 
     def _forget(self) -> None:

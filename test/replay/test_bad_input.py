@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from binocular_recon.number_text import counted
 from test.bag_tools import (
     HEIGHT,
     START_NS,
@@ -116,7 +117,7 @@ def test_a_damaged_bag_gives_what_precedes_the_damage(
     assert 8 <= count <= 10
     text = capsys.readouterr().err
     assert 'bag.db3 is damaged (database disk image is malformed); messages before' in text
-    assert text.endswith(f'{count} frames are in {tmp_path / "out"}\n')
+    assert text.endswith(f'{counted(count, "frame is", "frames are")} in {tmp_path / "out"}\n')
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert summary['finished'] is True
     assert len(summary['damage']) >= 1
@@ -139,7 +140,7 @@ def test_a_truncated_image_costs_one_frame(
     bag = write_bag(tmp_path / 'bag', records)
     assert reconstruct(bag, tmp_path / 'out') == 1
     assert frames_of(tmp_path / 'out') == 2
-    assert '1 of 3 pairs were left out, the first because left image' in capsys.readouterr().err
+    assert '1 of 3 pairs was left out, the first because left image' in capsys.readouterr().err
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert [entry['stamp_ns'] for entry in summary['left_out']] == [START_NS + 1]
 

@@ -118,7 +118,7 @@ def test_images_that_cannot_be_used_are_left_out_one_by_one(
     Path(sides[1], 'right_13.png').write_bytes(b'')
     assert run(calibration, tmp_path / 'out', *sides) == 1
     said = capsys.readouterr().err
-    assert 'warning: 1 images have no partner: right/right_13.png' in said
+    assert 'warning: 1 image has no partner: right/right_13.png' in said
     assert '2 of 4 pairs were left out, the first because' in said
     assert 'left_10.png is 96x64 px, its calibration is for 96x72' in said
     assert '2 frames are in' in said
@@ -135,7 +135,7 @@ def test_images_that_cannot_be_used_are_left_out_one_by_one(
         (('left', 'empty'), 1, 'no images for the right camera: it is empty'),
         (('left', 'right', '--namespace', 'rig'), 2, '--namespace is an option of a bag, not of'),
         (('left', 'right', '--pairing', 'stamps'), 2, '--pairing is an option of a bag'),
-        (('left', 'right', '--pair-by', 'time'), 1, 'have no EXIF time'),
+        (('left', 'right', '--pair-by', 'time'), 1, 'without an EXIF time'),
         (('left',), 2, 'is a folder of images; give the images of the left and of the right'),
         (('left', 'left'), 1, 'is named for both cameras'),
         (('left', 'film.mp4'), 1, 'are a video and images; give two of one kind'),
@@ -325,7 +325,7 @@ def test_a_lost_frame_of_a_video_costs_one_pair(
     right = write_video(tmp_path / 'right.mkv', [pair[1] for pair in PAIRS], lost=1)
     output = tmp_path / 'out'
     assert run(calibration, output, left, right) == 0
-    assert '1 of 7 images have no partner' in capsys.readouterr().out
+    assert '1 of 7 images has no partner' in capsys.readouterr().out
     images = [frame['images'] for frame in summary_of(output)['frames']]
     assert images[1] == ['left.mkv #2', 'right.mkv #1']
     last = (output / '000002.ply').read_bytes()

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from binocular_recon.apps.frame_formats import FRAME_FORMATS
+from binocular_recon.number_text import counted
 from test.bag_tools import (
     stereo_records,
     write_bag,
@@ -124,7 +125,8 @@ def test_an_interruption_keeps_the_finished_frames(tmp_path: Path) -> None:
     assert process.returncode == 130, shown
     count = frames_of(output)
     assert 3 <= count < 400
-    expected = f'interrupted; {count} finished frames are kept in {output}\n'
+    frames = counted(count, 'finished frame is', 'finished frames are')
+    expected = f'interrupted; {frames} kept in {output}\n'
     assert error == f'binocular-recon reconstruct: {expected}'
     assert out == ''
     assert json.loads((output / 'summary.json').read_text())['finished'] is False

@@ -63,7 +63,7 @@ def test_a_range_that_is_too_small_is_refused_but_written(
     assert reconstruct(bag, tmp_path / 'out', *small) == 1
     error = capsys.readouterr().err
     assert 'the search range 0..19 px is too small' in error
-    assert '(--least-matched 0); 1 frames are in' in error
+    assert '(--least-matched 0); 1 frame is in' in error
     assert (tmp_path / 'out' / '000000.ply').exists()
     frame = json.loads((tmp_path / 'out' / 'summary.json').read_text())['frames'][0]
     assert 'too small' in frame['warning']

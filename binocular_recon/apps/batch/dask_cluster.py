@@ -29,6 +29,7 @@ from binocular_recon.apps.batch.places import repeated
 from binocular_recon.errors import ClusterError, FileError, shortened
 from binocular_recon.io.files import naming_errors
 from binocular_recon.machine import optional_package
+from binocular_recon.number_text import counted
 
 # A scheduler answers within this time, or is not there.
 _ANSWER_S = 10.0
@@ -101,7 +102,8 @@ class DaskCluster:
         """Say how many workers there are."""
         if not self._checked:
             return f'{self._address} has no workers yet; frames wait for them'
-        return f'{len(self._checked)} workers with {self._threads} threads at {self._address}'
+        workers = counted(len(self._checked), 'worker')
+        return f'{workers} with {counted(self._threads, "thread")} at {self._address}'
 
     def remark(self, outcome: FrameOutcome) -> str:
         """Return nothing: each worker has its own memory."""

@@ -24,6 +24,7 @@ from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.io.files import part_folder, remove_abandoned
 from binocular_recon.io.pfm import read_pfm
+from binocular_recon.number_text import counted
 from binocular_recon.stereo.search_range import SearchRange
 
 _WITHOUT_COVARIANCE = (
@@ -112,7 +113,8 @@ class FrameLoop:
         before, results, handed = self._results.pairs, self._results, self._handed
         if before:
             self._report(
-                f'{len(results.frames)} frames are finished already; continuing after them'
+                counted(len(results.frames), 'frame is', 'frames are')
+                + ' finished already; continuing from there'
             )
             self._remarks.frames(results.frames)
         count = -(-pairs.expected // self._source.every)

@@ -20,6 +20,7 @@ from binocular_recon.apps.batch.frame_task import FrameFailedError, FrameOutcome
 from binocular_recon.apps.batch.places import repeated
 from binocular_recon.apps.batch.worker import serve
 from binocular_recon.errors import BinocularReconError, ConfigError
+from binocular_recon.number_text import counted
 
 # Not forked: the threads of kernels would be missing.
 _SPAWN = multiprocessing.get_context('spawn')
@@ -76,8 +77,8 @@ class LocalProcesses:
 
     def opening(self) -> str:
         """Say how the cores are divided."""
-        threads = '1 thread' if self._threads == 1 else f'{self._threads} threads'
-        return f'{self._jobs} processes with {threads} each'
+        processes = counted(self._jobs, 'process', 'processes')
+        return f'{processes} with {counted(self._threads, "thread")} each'
 
     def remark(self, outcome: FrameOutcome) -> str:
         """Say how much memory the processes take."""

@@ -126,6 +126,7 @@ def _facts(
             if one.name in errors:
                 entry[key] = errors[one.name].off_m.tolist()
                 entry[key.replace('_m', '_sigma_m')] = errors[one.name].sigma_m.tolist()
+                entry[key.replace('_m', '_is_odd')] = errors[one.name].is_odd
         points.append(entry)
     facts: dict[str, Any] = {'points': points, 'crs': None, 'scale_estimated': None}
     if system is not None:

@@ -23,6 +23,7 @@ from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.io.files import check_apart, part_folder
 from binocular_recon.merging.over_time import TimeAverage, average, sigma_of
 from binocular_recon.merging.standing_still import MOST_SHIFT_PX, Corners, moved_px
+from binocular_recon.number_text import counted
 from binocular_recon.stereo.diagnosis import NOTHING
 from binocular_recon.stereo.filtering.wls_filter import Filtered
 from binocular_recon.stereo.search_range import SearchRange
@@ -127,7 +128,8 @@ def _check(folder: MeasuredFolder, output: Path) -> None:
     """Raise an error if the frames cannot be averaged, or not there."""
     if folder.count < 2:
         raise MeasurementError(
-            f'{folder.folder} holds {folder.count} frames; at least 2 of a rig that stands still'
+            f'{folder.folder} holds {counted(folder.count, "frame")}; at least 2 of a rig that'
+            ' stands still'
             ' are needed: reconstruct more pairs'
         )
     check_apart(output, folder.folder)

@@ -26,6 +26,7 @@ from binocular_recon.machine import machine_facts
 from binocular_recon.measurement.site.tie import TIE_FILE
 from binocular_recon.merging.overlap import Pose, find_pose, surface_distances
 from binocular_recon.merging.voxels import VoxelCloud
+from binocular_recon.number_text import counted
 from binocular_recon.rotations import cross_matrix
 
 # What is written, by the names of frame formats.
@@ -163,13 +164,15 @@ def merge_stations(
             )
     finally:
         claim.release()
-    return f'{len(table)} points of {len(stations)} stations in {output}, {frame}'
+    points = counted(len(table), 'point')
+    return f'{points} of {len(stations)} stations in {output}, {frame}'
 
 
 def _check(folder: MeasuredFolder, output: Path) -> None:
     if folder.count != 1:
         raise MeasurementError(
-            f'{folder.folder} holds {folder.count} frames, a station has one: average the frames'
+            f'{folder.folder} holds {counted(folder.count, "frame")}, a station has one:'
+            ' average the frames'
             f' of a rig that stood still first (merge {folder.folder} --output DIR)'
         )
     check_apart(output, folder.folder)

@@ -286,7 +286,7 @@ def _worst_board(fit: Fit) -> tuple[int | None, str]:
     worst = int(np.argmin(left))
     if left[worst] < MIN_MARKS:
         return worst, (
-            f'only {left[worst]} marks of one image fit, at least {MIN_MARKS} are needed in each'
+            f'too few marks of one image fit: {left[worst]}, at least {MIN_MARKS} are needed'
         )
     return None, ''
 

@@ -26,7 +26,7 @@ from binocular_recon.calibration.adjustment.linearisation import marks_in_left
 from binocular_recon.calibration.adjustment.uncertainty import depth_derivatives, field_of_view
 from binocular_recon.camera import FloatArray
 from binocular_recon.images import Mask
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import counted, significant
 
 # Each half must have the boards of a calibration.
 LEAST_BOARDS = 2 * MIN_BOARDS
@@ -204,7 +204,8 @@ def compare_halves(found: Estimate) -> SplitHalves:
     if count < LEAST_BOARDS:
         return SplitHalves(
             sizes,
-            reason=f'{count} boards are too few to compare halves of them, so the sigmas rest on'
+            reason=f'{counted(count, "board is", "boards are")} too few to compare halves, so'
+            ' the sigmas rest on'
             f' the residuals alone; capture {LEAST_BOARDS} or more',
         )
     calibration, marks = found.state.calibration, marks_in_left(found.state, found.problem.target)

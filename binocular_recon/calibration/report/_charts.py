@@ -14,7 +14,7 @@ from binocular_recon.calibration.report.mark_errors import mark_errors_m
 from binocular_recon.calibration.result import DISPARITY_SIGMA_PX, CalibrationResult
 from binocular_recon.camera import FloatArray
 from binocular_recon.drawing.svg import FAINT, INK, Chart, shade
-from binocular_recon.number_text import plain, significant
+from binocular_recon.number_text import counted, plain, significant
 
 # The three methods, with the colours they have throughout the report.
 UNCORRECTED = '#c8553d'
@@ -125,7 +125,7 @@ def depth_coverage(result: CalibrationResult) -> str:
         chart.box(
             corners,
             METHODS['adjusted'],
-            f'{count} marks at {significant(low)} to {significant(high)} m',
+            f'{counted(count, "mark")} at {significant(low)} to {significant(high)} m',
         )
     return chart.svg('Marks at each distance')
 

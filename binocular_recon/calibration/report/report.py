@@ -27,7 +27,7 @@ from binocular_recon.drawing.page import (
     section,
     table,
 )
-from binocular_recon.number_text import day_text, plain, significant
+from binocular_recon.number_text import counted, day_text, plain, significant
 
 # Distances listed in the table of depth sigmas.
 _DEPTH_ROWS = 6
@@ -62,7 +62,7 @@ def render_report(
         parameters(result),
     )
     subtitle = f'{day_text(date)} · ' if date else ''
-    subtitle += f'{len(result.names)} boards, {result.sizes}'
+    subtitle += f'{counted(len(result.names), "board")}, {result.sizes}'
     footer = 'Uncertainties are one standard deviation.'
     return page('Stereo calibration', sections, footer, subtitle=subtitle)
 
@@ -91,7 +91,7 @@ def _summary(result: CalibrationResult) -> str:
         ),
         (
             f'{len(result.names)}',
-            f'boards used, {marks} marks in both images, {result.sizes}',
+            f'boards used, {counted(marks, "mark")} in both images, {result.sizes}',
         ),
     )
     return cards(figures)
@@ -105,7 +105,8 @@ def _notes(result: CalibrationResult) -> str:
     ]
     if count := int(result.estimate.outliers.sum()):
         notes.append(
-            f'{count} single marks were left out: they are off by more than noise allows.'
+            counted(count, 'single mark was', 'single marks were')
+            + ' left out: off by more than noise allows.'
         )
     if not notes:
         return '<p class="good">Every board and every mark was used.</p>'

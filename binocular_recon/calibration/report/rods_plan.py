@@ -12,7 +12,7 @@ from binocular_recon.calibration.target.rods import RodBoard
 from binocular_recon.camera import FloatArray
 from binocular_recon.drawing.sheet import Sheet
 from binocular_recon.drawing.svg import FAINT, INK
-from binocular_recon.number_text import plain
+from binocular_recon.number_text import counted, plain
 
 # A4, landscape, mm.
 _SHEET = (297.0, 210.0)
@@ -48,8 +48,8 @@ def rods_plan(board: RodBoard) -> Sheet:
         A4, landscape; `Sheet.svg` and `Sheet.pdf` are the files.
 
     """
-    rods = f'{board.count} rods' if board.count > 1 else 'One rod'
-    sheet = Sheet(_SHEET, f'{rods} with {board.marks_per_rod} marks each')
+    rods, marks = counted(board.count, 'rod'), counted(board.marks_per_rod, 'mark')
+    sheet = Sheet(_SHEET, f'{rods} with {marks} each')
     sheet.text(_MARGIN, 17, sheet.title, size=6)
     facts = (
         f'diameter {_mm(board.rod_diameter_m)} mm; mark_type {board.mark_type.name}: edges between'

@@ -23,6 +23,7 @@ from binocular_recon.calibration.target.capture import Capture
 from binocular_recon.calibration.target.target import Target
 from binocular_recon.errors import CalibrationError, FileError, plain_text, shortened
 from binocular_recon.io.text_files import read_text
+from binocular_recon.number_text import counted
 
 COLUMNS = ('name', 'side', 'id', 'X_m', 'Y_m', 'u_px', 'v_px')
 # Usual sizes of sensors, from small to large, to guess the image's size from its points.
@@ -167,7 +168,8 @@ def _table(rows: list[_Row], left_out: tuple[str, ...]) -> PointTable:
     names = dict.fromkeys(row.name for row in rows)
     if len(names) * len(index) > _MOST_MARKS:
         raise CalibrationError(
-            f'{rows[0].where}: {len(names)} boards of a target with {len(index)} points are more'
+            f'{rows[0].where}: {counted(len(names), "board")} of a target with'
+            f' {counted(len(index), "point")} are more'
             f' than {_MOST_MARKS} marks, the limit; id must be that of the point on the target,'
             ' the same on all boards'
         )

@@ -20,6 +20,7 @@ from binocular_recon.io.bags.writer import BagWriter, write_pair
 from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.io.image_files import write_image_file
 from binocular_recon.io.pfm import write_pfm
+from binocular_recon.number_text import counted
 from binocular_recon.simulation.capture import (
     CaptureOptions,
     SimulatedCapture,
@@ -159,7 +160,8 @@ def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Pat
     rms, seconds = figures['rms_px'], figures['seconds_per_image']
     say(
         f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark visible in'
-        f' both images; {figures["wrong_identities"]} wrong identities; error'
+        f' both images;'
+        f' {counted(figures["wrong_identities"], "wrong identity", "wrong identities")}; error'
         f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
         f' marks); {seconds["median"]:.2f} s per image'
     )

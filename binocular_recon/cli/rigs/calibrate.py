@@ -32,7 +32,7 @@ from binocular_recon.io.files import make_folder, write_json
 from binocular_recon.machine import now_text, peak_bytes
 from binocular_recon.measurement.check_distance import check_distances
 from binocular_recon.measurement.results import CHECK_FILE
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import counted, significant
 
 _Result = TypeVar('_Result')
 
@@ -131,7 +131,8 @@ def run(args: argparse.Namespace) -> None:
     say(', '.join(str(path) for path in files))
     peak = peak_bytes()
     say(
-        f'{len(captures) + len(rejected)} boards in {marks_s + solve_s + save_s:.1f} s: marks'
+        f'{counted(len(captures) + len(rejected), "board")} in'
+        f' {marks_s + solve_s + save_s:.1f} s: marks'
         f' {marks_s:.1f} s, calibration {solve_s:.1f} s, report {save_s:.1f} s'
         + (f'; at most {peak / 1e6:.0f} MB of memory' if peak else '')
     )
@@ -202,7 +203,8 @@ def _check_holding(rig: StereoRig, marks: _Marks, output: Path | None) -> None:
     holding = check_holding(rig, marks.captures, marks.target, marks.sizes.left, marks.sizes.right)
     for board in (*marks.rejected, *holding.left_out):
         say(f'left out: {board.name}: {board.reason}')
-    say(f'{holding.boards} boards, {holding.marks} marks: {holding}')
+    boards, marks_ = counted(holding.boards, 'board'), counted(holding.marks, 'mark')
+    say(f'{boards}, {marks_}: {holding}')
     odd = {board.name for board in holding.left_out}
     kept = [capture for capture in marks.captures if capture.name not in odd]
     distances = check_distances(rig, kept, marks.target)

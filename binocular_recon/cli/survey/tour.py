@@ -12,7 +12,7 @@ from binocular_recon.cli.main import PROGRAM, run_command
 from binocular_recon.cli.options import note, say
 from binocular_recon.errors import DependencyError, MeasurementError
 from binocular_recon.machine import now_text
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 
 SEED = 3
 # More contradicts the stated standard deviation.
@@ -47,7 +47,7 @@ def survey_tour(output: Path, *, boards: int, size: float, options: Sequence[str
     from binocular_recon.io.calibration_yaml import read_rig
 
     begun = time.monotonic()
-    say(f'A simulated site with {boards} boards of rods; files in {output}')
+    say(f'A simulated site with {counted(boards, "board")} of rods; files in {output}')
     site = simulate_survey(output, seed=SEED, boards=boards, size=size, report=note)
     rods, rig, out = output / 'rods.yaml', output / 'rig', output / 'cloud'
     _run('rods-plan', rods, '--output', output / 'rods.svg')

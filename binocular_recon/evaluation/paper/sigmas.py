@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from binocular_recon.calibration.solve import calibrate
 from binocular_recon.camera import FloatArray, StereoRig
@@ -22,10 +21,11 @@ from binocular_recon.evaluation.paper.site import Site, simulate_site
 from binocular_recon.evaluation.tables import markdown_table
 from binocular_recon.images import Mask
 from binocular_recon.measurement.lengths import length_between
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 from binocular_recon.simulation.rig import RawRig
 from binocular_recon.simulation.rods import paper_board, with_placement
 from binocular_recon.simulation.scene import trace_scene
+from binocular_recon.stereo.filtering.wls_filter import sigma_if_right
 from binocular_recon.stereo.pipeline import Chain, Reconstruction
 from binocular_recon.stereo.point_covariance import joint_covariance
 from binocular_recon.stereo.rectification import rectification_maps
@@ -156,7 +156,8 @@ def compare(
     lengths = random_lengths(
         points[near],
         truth[near],
-        found.filtered.sigma_px[used][near],
+        # well matched: none of them is a mismatch
+        sigma_if_right(found.filtered.sigma_px[used][near].astype(np.float64)),
         rectified,
         np.random.default_rng(site.seed),
     )
@@ -213,7 +214,7 @@ def perfectly_matched_depths(site: Site, calibrated: StereoRig, points: FloatArr
 def random_lengths(
     points: FloatArray,
     truth: FloatArray,
-    sigma_px: npt.NDArray[np.float32],
+    sigma_px: FloatArray,
     rectified: StereoRig,
     rng: np.random.Generator,
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -258,7 +259,7 @@ def report(sites: Sequence[SiteSigmas]) -> str:
     )  # fmt: skip
     shares = [site.well_matched for site in sites]
     return (
-        f'{len(sites)} simulated sites, {BOARDS} boards with rods placed to'
+        f'{counted(len(sites), "simulated site")}, {BOARDS} boards with rods placed to'
         f' {1e3 * PLACEMENT_M:g} mm: points matched to'
         f' {WELL_MATCHED_PX:g} px ({np.mean(shares):.0%} of those away from outlines), and'
         f' lengths of {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g} m between them.\n\n'

@@ -11,7 +11,7 @@ from binocular_recon.evaluation.paper.runs import MARK_NOISE_PX, PaperRun
 from binocular_recon.evaluation.paper.site import PICK_NOISE_PX
 from binocular_recon.evaluation.paper.sizes import BICYCLE, PEOPLE
 from binocular_recon.evaluation.tables import markdown_table
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 
 # Table 1: uncorrected left and right row, corrected left and right row of six points, px.
 PAPER_ROWS = (
@@ -52,12 +52,13 @@ def report(runs: Sequence[PaperRun]) -> str:
     )
     text_2 = (
         'Table 2: reprojection error in the original images,'
-        f' {len(first[0].boards_px)} boards of one site, {_marks(first[0])}.{_other_sites(runs)}'
+        f' {counted(len(first[0].boards_px), "board")} of one site,'
+        f' {_marks(first[0])}.{_other_sites(runs)}'
     )
     text_3 = (
-        f'Table 3: sizes at 10-20 m, {len({run.seed for run in runs})} sites,'
+        f'Table 3: sizes at 10-20 m, {counted(len({run.seed for run in runs}), "site")},'
         f' {len(runs[0].errors_mm[BICYCLE])} picks of each end point with {PICK_NOISE_PX:g} px of'
-        f' noise per axis; rods of {rendered} site{"" if rendered == 1 else "s"} detected in'
+        f' noise per axis; rods of {counted(rendered, "site")} detected in'
         ' images. Picking alone: the same picks with perfect calibration and depth.'
     )
     tables = (table_1(shown), table_2(first), table_3(runs))
@@ -147,7 +148,8 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
         )
         means.append(f'{_placement(placement)}: {values}')
     return (
-        f' Mean of the other {len({run.seed for run in simulated})} sites, {_marks(simulated[0])},'
+        f' Mean of {counted(len({run.seed for run in simulated}), "other site")},'
+        f' {_marks(simulated[0])},'
         f' planar / corrected / adjusted, px: {"; ".join(means)}.'
     )
 

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 from binocular_recon.errors import FileError
+from binocular_recon.number_text import counted
 
 _IMAGES = re.compile(r'\.(png|jpe?g|jpe|tiff?|bmp|dib|webp|jp2|j2k|p[bgpn]m|pfm)', re.IGNORECASE)
 _VIDEOS = re.compile(
@@ -99,7 +100,8 @@ def _instead(inside: list[Path]) -> str:
         return 'it is empty; give another folder'
     kinds = sorted({one.suffix.lower() or 'no suffix' for one in inside})
     return (
-        f'{len(inside)} other files ({", ".join(kinds[:4])}); PNG, JPEG, TIFF and others are read'
+        f'{counted(len(inside), "other file")} ({", ".join(kinds[:4])}); PNG, JPEG, TIFF and'
+        ' others are read'
     )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from binocular_recon.errors import FileError
+from binocular_recon.number_text import counted
 from binocular_recon.pairing import Synchronizer
 
 # What may tell which images belong together.
@@ -108,9 +109,10 @@ def pair_files(
     pairs = [FilePair(left[i], right[k], times[0][i]) for i, k in partners]
     used = {path for pair in pairs for path in pair[:2]}
     unpaired = [path for path in (*left, *right) if path not in used]
-    remarks.insert(0, f'{len(pairs)} pairs by {_SAID[by]}: {_ends(pairs)}')
+    remarks.insert(0, f'{counted(len(pairs), "pair")} by {_SAID[by]}: {_ends(pairs)}')
     if unpaired:
-        remarks.append(f'warning: {len(unpaired)} images have no partner: {_listed(unpaired)}')
+        lonely = counted(len(unpaired), 'image has', 'images have')
+        remarks.append(f'warning: {lonely} no partner: {_listed(unpaired)}')
     if by != 'time':
         remarks += _time_check(pairs, partners, times)
     return FilePairs(pairs, by, unpaired, remarks)
@@ -159,7 +161,7 @@ def _choose(
     if len(left) == len(right):
         return 'order'
     raise FileError(
-        f'there are {len(left)} left and {len(right)} right images, and nothing tells which belong'
+        f'left images: {len(left)}, right images: {len(right)}, and nothing tells which belong'
         ' together: most names have no number in common, and not all have an EXIF time of their'
         ' own; rename them, remove those without a partner, or give --pair-by'
     )
@@ -181,7 +183,7 @@ def _by_number(
 def _by_order(left: list[Path], right: list[Path]) -> list[tuple[int, int]]:
     if len(left) != len(right):
         raise FileError(
-            f'there are {len(left)} left and {len(right)} right images, so their order does not'
+            f'left images: {len(left)}, right images: {len(right)}, so their order does not'
             ' tell which belong together; remove those without a partner, or give --pair-by number'
             ' or time'
         )
@@ -199,8 +201,7 @@ def _by_time(
         without = [path for path, time in zip(files, side, strict=True) if time is None]
         if without:
             raise FileError(
-                f'{len(without)} images have no EXIF time: {_listed(without)}; give --pair-by'
-                ' number or order'
+                f'images without an EXIF time: {_listed(without)}; give --pair-by number or order'
             )
     known = [[time for time in side if time is not None] for side in times]
     for files, stamps in zip((left, right), known, strict=True):
@@ -256,7 +257,7 @@ def _gaps(
         return []
     k = gaps[0]
     ends = f'{left[partners[k][0]].name} is followed by {left[partners[k + 1][0]].name}'
-    return [f'{len(gaps)} gaps in the numbers, the first where {ends}']
+    return [f'{counted(len(gaps), "gap")} in the numbers, the first where {ends}']
 
 
 def _time_check(
@@ -280,7 +281,8 @@ def _time_check(
         return []
     pair, difference = odd[0]
     text = (
-        f'warning: by their EXIF times {len(odd)} pairs do not belong together, the first being'
+        f'warning: by their EXIF times {counted(len(odd), "pair does", "pairs do")} not belong'
+        ' together, the first being'
         f' {pair.left.name} and {pair.right.name}: {difference:.1f} s apart, most are'
         f' {usual:.1f} s; try --pair-by time'
     )

@@ -13,6 +13,7 @@ from binocular_recon.errors import ConfigError, FileError, ImageError
 from binocular_recon.images import Image
 from binocular_recon.inputs.camera_checks import check_image_size
 from binocular_recon.io.pairs.video import Video, VideoFrame
+from binocular_recon.number_text import counted
 from binocular_recon.pairing import Synchronizer
 
 # Decoded frames of one video that wait for the other's: those that a lost frame delays.
@@ -112,7 +113,8 @@ class StereoVideo:
             tolerance_ns = tolerance_ns or self._half_period_ns()
         elif left.expected and right.expected and left.expected != right.expected:
             raise FileError(
-                f'{left.path} has {left.expected} frames and {right.path} {right.expected}, so'
+                f'{left.path} has {counted(left.expected, "frame")} and {right.path}'
+                f' {right.expected}, so'
                 ' their order does not tell which belong together; give --pair-by time'
             )
         self._synchronizer = Synchronizer(
@@ -194,7 +196,8 @@ class StereoVideo:
                 alone += 1
         if alone and not self.damage:
             self._order_damage.append(
-                f'one video has {alone} frames more than the other, so pairs by order may be of'
+                f'one video has {counted(alone, "frame")} more than the other, so pairs by'
+                ' order may be of'
                 ' different moments; give --pair-by time'
             )
 
@@ -248,5 +251,5 @@ class SideBySideVideo:
 
 
 def _facts(video: Video) -> str:
-    frames = f'{video.expected} frames' if video.expected else 'frames not counted'
+    frames = counted(video.expected, 'frame') if video.expected else 'frames not counted'
     return f'{video.size[0]}x{video.size[1]} px, {frames}, {video.rate_hz:.4g} per second'

@@ -14,6 +14,7 @@ from binocular_recon.images import Image
 from binocular_recon.io.image_headers import MOST_PIXELS
 from binocular_recon.io.text_files import open_file
 from binocular_recon.machine import optional_package
+from binocular_recon.number_text import counted
 
 _NS = 1_000_000_000
 # A video may lack so many frames of what its header states without being called cut off.
@@ -141,13 +142,15 @@ class Video(AbstractContextManager['Video']):
     def _note(self, number: int, last_s: float, lost: int) -> None:
         """Say what is missing, after the last frame."""
         if lost:
-            self.damage.append(f'{lost} frames of {self.path} cannot be decoded')
+            self.damage.append(f'{counted(lost, "frame")} of {self.path} cannot be decoded')
         period_s = 1 / self.rate_hz if self.rate_hz else 0.0
         missing = number < self._stream.frames
         short = last_s + period_s < self._duration_s - _ROUNDED_FRAMES * period_s
         if not lost and (missing or short) and not self.damage:
-            stated = f'{self._stream.frames} frames' if missing else f'{self._duration_s:.1f} s'
-            found = f'{number} frames' if missing else f'{last_s + period_s:.1f} s'
+            stated = (
+                counted(self._stream.frames, 'frame') if missing else f'{self._duration_s:.1f} s'
+            )
+            found = counted(number, 'frame') if missing else f'{last_s + period_s:.1f} s'
             self.damage.append(f'{self.path} is cut off: it has {found} of the {stated} it states')
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
@@ -19,14 +20,16 @@ from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.site.control_points import ControlPoint
 from binocular_recon.measurement.site.tie import SiteTie
 from binocular_recon.measurement.uncertain import CALIBRATION, Uncertain, joined
+from binocular_recon.number_text import counted
 from binocular_recon.rotations import rigid_fit, rotation, similarity_derivatives
 
 LEAST_POINTS = 3
 _ITERATIONS = 20
-
-
-# Chi-square with 3 degrees of freedom that 0.27 % exceed, as those beyond 3 sigma of one value.
-_MOST_SQUARED = 14.2
+# Share of right points that are called odd: those beyond 3 sigma of one value.
+_ODD_SHARE = 2 * stats.norm.sf(3)
+# Directions of a covariance with less than this of its largest variance have no error at all, as
+# those of residuals that the fit takes up.
+_LEAST_VARIANCE = 1e-9
 
 
 class PointError(NamedTuple):
@@ -37,14 +40,15 @@ class PointError(NamedTuple):
     covariance: FloatArray
 
     @property
-    def squared(self) -> float:
-        """Squared error in units of its covariance: chi-square with 3 degrees of freedom."""
-        return float(self.off_m @ np.linalg.pinv(self.covariance) @ self.off_m)
-
-    @property
     def is_odd(self) -> bool:
-        """Whether an error is larger than its covariance explains, as beyond 3 sigma."""
-        return self.squared > _MOST_SQUARED
+        """Whether the error is larger than its covariance explains, as beyond 3 sigma.
+
+        The one rule for control and check points: messages and reports take it from here.
+        """
+        variances, axes = np.linalg.eigh(self.covariance)
+        free = variances > _LEAST_VARIANCE * variances[-1]
+        squared = (self.off_m @ axes[:, free]) ** 2 / variances[free]
+        return bool(squared.sum() > stats.chi2.isf(_ODD_SHARE, np.count_nonzero(free)))
 
 
 class Fit(NamedTuple):
@@ -72,7 +76,8 @@ class Problem:
         self.control = [i for i, one in enumerate(control) if not one.check]
         if len(self.control) < LEAST_POINTS:
             raise MeasurementError(
-                f'there are {len(self.control)} control points, {LEAST_POINTS} that are not on one'
+                f'the table has {counted(len(self.control), "control point")}, {LEAST_POINTS}'
+                ' that are not on one'
                 ' line are the least; without them --level makes the vertical right'
             )
         self.all = joined(*points)

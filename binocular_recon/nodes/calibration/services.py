@@ -33,6 +33,7 @@ from binocular_recon.nodes.calibration.steps import (
     describe_size_change,
     detect_pair,
 )
+from binocular_recon.number_text import counted
 
 # How long a capture waits for a second pair to compare with.
 _STILL_WITHIN_S = 1.0
@@ -150,7 +151,7 @@ class CalibrationServices:
             self.pairs.mark_captured(None)
             self._on_state('boards', '0')
             where = f'; their images are in {folder}' if folder else ''
-            return f'{count} boards dropped{where}'
+            return f'{counted(count, "board")} dropped{where}'
 
     def calibrate(self) -> str:
         """Calibrate from all boards."""
@@ -167,7 +168,7 @@ class CalibrationServices:
                 rejected=found.rejected,
             )
             self._result = result
-            self._on_state('calibration', f'{len(result.names)} boards, not saved yet')
+            self._on_state('calibration', f'{counted(len(result.names), "board")}, not saved yet')
             seconds = time.monotonic() - begun_s
             return f'{describe_result(result)}; took {seconds:.0f} s; {describe_next_step(result)}'
 

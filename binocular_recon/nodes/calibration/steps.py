@@ -15,7 +15,7 @@ from binocular_recon.camera import StereoRig
 from binocular_recon.errors import CalibrationError
 from binocular_recon.inputs.common_size import CommonSize
 from binocular_recon.nodes.calibration.newest_pair import ImagePair
-from binocular_recon.number_text import significant
+from binocular_recon.number_text import counted, significant
 
 # Marks that move by more (median, px) between two pairs belong to rods or a rig that moves.
 STILL_PX = 0.5
@@ -99,7 +99,8 @@ def describe_result(result: CalibrationResult) -> str:
     calibration, sigma = result.calibration, result.sigma
     depth_mm = 1e3 * result.depth_sigma_m(15.0)
     figures = (
-        f'{len(result.names)} boards: reprojection error {result.adjusted.error_px:.2f} px,'
+        f'{counted(len(result.names), "board")}: reprojection error'
+        f' {result.adjusted.error_px:.2f} px,'
         f' baseline {1e3 * calibration.baseline_m:.1f} +-'
         f' {significant(1e3 * sigma["baseline_m"], 2)} mm, depth sigma {depth_mm:.0f} mm at 15 m'
     )

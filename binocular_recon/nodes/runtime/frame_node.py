@@ -23,6 +23,7 @@ from binocular_recon.nodes.runtime.health import SHARED_MEMORY
 from binocular_recon.nodes.runtime.options import InputOptions, LoadOptions
 from binocular_recon.nodes.runtime.remedies import remedy
 from binocular_recon.nodes.runtime.worker import Intake, InTwoThreads, Rest
+from binocular_recon.number_text import counted
 from binocular_recon.options import Options
 from binocular_recon.pairing import Synchronizer
 
@@ -174,11 +175,11 @@ class FrameNode(BaseNode):
             level, text = DiagnosticStatus.WARN, too_late
         elif superseded:
             level = DiagnosticStatus.WARN
-            text = f'cannot keep up: dropped {superseded} frames in the last second'
+            text = f'cannot keep up: dropped {counted(superseded, "frame")} in the last second'
         elif pausing := self.health.pausing(required):
             return DiagnosticStatus.WARN, f'no messages on {_since(pausing)}'
         else:
-            return DiagnosticStatus.OK, f'{processed} frames in the last second'
+            return DiagnosticStatus.OK, f'{counted(processed, "frame")} in the last second'
         self.health.log(level, text)
         return level, text
 

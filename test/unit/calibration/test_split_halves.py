@@ -243,7 +243,7 @@ def test_halves_that_agree_are_reported() -> None:
 
 def test_too_few_boards_are_not_compared_but_mentioned() -> None:
     result = calibrate(captures_of(0.002, 5), board_of(0.002), SIZE)
-    words = '5 boards are too few to compare halves of them'
+    words = '5 boards are too few to compare halves, so'
     assert words in result.warnings[0] and 'capture 6 or more' in result.warnings[0]
     entry = json.loads(json.dumps(result.to_mapping(), allow_nan=False))['split_half']
     assert entry['ratio'] is None and entry['factor'] == 1 and words in entry['reason']

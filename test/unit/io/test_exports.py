@@ -146,6 +146,7 @@ def test_e57_has_colour_sigmas_and_double_precision(placed: PointTable, tmp_path
     with pye57.E57(str(path)) as file:
         assert file.scan_count == 1
         read = file.read_scan(0, intensity=True, colors=True, ignore_missing_fields=True)
+        raw = file.read_scan_raw(0, ignore_unsupported_fields=True)
         header = file.get_header(0)
         assert header.point_count == COUNT - 1
         assert {f'sd:{name}' for name in scalars} <= set(header.point_fields)
@@ -166,6 +167,8 @@ def test_e57_has_colour_sigmas_and_double_precision(placed: PointTable, tmp_path
     for axis, name in enumerate(('colorRed', 'colorGreen', 'colorBlue')):
         np.testing.assert_array_equal(read[name], rgb[:, axis])
     np.testing.assert_array_equal(read['intensity'], scalars['sigma_z'])
+    np.testing.assert_array_equal(raw['intensity'], scalars['sigma_z'])
+    np.testing.assert_array_equal(raw['cartesianX'], xyz[:, 0])
     for name, values in stored.items():
         np.testing.assert_array_equal(values, scalars[name])
     assert pyproj.CRS.from_wkt(wkt).to_epsg() == 32632

@@ -99,7 +99,7 @@ def test_what_tells_is_chosen_by_the_files_and_said(tmp_path: Path) -> None:
     assert [path.name for path in by_number.unpaired] == ['a_9.png', 'b10.png']
     assert by_number.remarks == [
         '5 pairs by the number in their names: a_2.png with b2.png to a_8.png with b8.png',
-        '1 gaps in the numbers, the first where a_4.png is followed by a_7.png',
+        '1 gap in the numbers, the first where a_4.png is followed by a_7.png',
         'warning: 2 images have no partner: l/a_9.png, r/b10.png',
     ]
     by_order = pair_files(
@@ -140,11 +140,11 @@ def test_times_pair_what_numbers_do_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('left', 'right', 'by', 'match'),
     [
-        (['a', 'b', 'c'], ['a', 'b'], None, 'are 3 left and 2 right images, and nothing tells'),
-        (['1', '2', '3'], ['1', '2'], 'order', 'are 3 left and 2 right images, so their order'),
+        (['a', 'b', 'c'], ['a', 'b'], None, 'left images: 3, right images: 2, and nothing tells'),
+        (['1', '2', '3'], ['1', '2'], 'order', 'left images: 3, right images: 2, so their order'),
         (['1', '2'], ['3', '4'], 'number', r'no number in common \(1.png, 3.png\)'),
         (['a', 'b'], ['1', '2'], 'number', r'no number in common \(a.png, 1.png\)'),
-        (['1', '2'], ['1', '2'], 'time', r'2 images have no EXIF time: l/1.png, l/2.png;'),
+        (['1', '2'], ['1', '2'], 'time', r'images without an EXIF time: l/1.png, l/2.png;'),
     ],
 )
 def test_files_that_cannot_be_paired(
@@ -186,7 +186,7 @@ def test_folders_patterns_and_files(tmp_path: Path) -> None:
     (tmp_path / 'empty').mkdir()
     for text, match in {
         tmp_path / 'empty': 'no images for the left camera: it is empty',
-        tmp_path / 'text': r'1 other files \(\.txt\)',
+        tmp_path / 'text': r'1 other file \(\.txt\)',
         tmp_path / 'film': r'it has videos; give the file, such as .*a\.mov',
         folder / '*.tif': 'no file fits the pattern',
         folder / 'c.png': 'there is no such file',

@@ -158,7 +158,7 @@ def test_a_surface_is_off_by_what_its_pixels_are_off_if_right(site: MeasuredSite
     stated = np.array([one.sigma_px for one in found])
     off = np.array([one.disparity_px for one in found]) - 30.0
     assert np.corrcoef(off.reshape(across, down).T.ravel(), sign.ravel())[0, 1] > 0.98
-    assert stated.min() > 0.35 and stated.max() < 0.55
+    assert stated.min() > 0.35
     assert 0.8 < np.sqrt(np.mean((off / stated) ** 2)) / np.std(sign) < 1.1
 
 
@@ -278,3 +278,16 @@ def test_damaged_picks_files(tmp_path: Path, name: str, text: str, message: str)
         read_picks(path)
     with pytest.raises(FileError, match='cannot be read'):
         read_picks(tmp_path / 'none.csv')
+
+
+def test_a_surface_that_is_off_its_surroundings_says_so(site: MeasuredSite) -> None:
+    """Matches of a patch that are wrong together agree; another thing does not count."""
+    frame = flat_frame(site.frame, 30.0)
+    pick = Pick('A', np.array([100.0, 100.0]))
+    alone = surface_at(frame, pick).sigma_px
+    frame.disparity_px[96:105, 96:105] += 1.5
+    found = surface_at(frame, pick)
+    assert found.disparity_px == pytest.approx(31.5, abs=0.01)
+    assert found.sigma_px == pytest.approx(np.hypot(alone, 1.5), rel=0.1)
+    frame.disparity_px[96:105, 96:105] = 60.0
+    assert surface_at(frame, pick).sigma_px == pytest.approx(alone, rel=0.1)

@@ -129,7 +129,7 @@ def test_too_few_control_points_and_those_on_a_line_are_refused() -> None:
     with pytest.raises(MeasurementError, match='2 control points, 3 that are not on one line'):
         adjust(points[:2], control[:2], site_of(3).frame)
     checks = [replace(one, check=True) for one in control[2:]]
-    with pytest.raises(MeasurementError, match='there are 2 control points'):
+    with pytest.raises(MeasurementError, match='the table has 2 control points'):
         adjust(points, [*control[:2], *checks], site_of(3).frame)
     line = [replace(one, place=PLACE + i * np.array([1.0, 2, 0])) for i, one in enumerate(control)]
     with pytest.raises(MeasurementError, match='4 control points lie on one line'):

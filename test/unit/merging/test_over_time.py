@@ -186,7 +186,7 @@ def test_a_scene_that_moves_as_a_whole_is_refused(tmp_path: Path) -> None:
 def test_folders_that_cannot_be_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = Scene(5)
     one = stored(tmp_path / 'one', [scene.frame()])
-    with pytest.raises(MeasurementError, match='holds 1 frames; at least 2'):
+    with pytest.raises(MeasurementError, match='holds 1 frame; at least 2'):
         merge_over_time(one, tmp_path / 'out')
     two = stored(tmp_path / 'two', [scene.frame() for _ in range(2)])
     with pytest.raises(ConfigError, match='choose another folder'):

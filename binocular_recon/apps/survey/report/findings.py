@@ -14,12 +14,10 @@ from binocular_recon.drawing.measurements import Drawn, draw_measurement
 from binocular_recon.drawing.page import section, table
 from binocular_recon.images import to_bgr8
 from binocular_recon.measurement.results import Quantity
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 
 # Measurements that are drawn; of more the first.
 _MOST_IMAGES = 24
-# Beyond it an error stands out (RMS of three coordinates).
-_MOST_SIGMAS = 3.0
 _CLOSED = {'area', 'plane'}
 _KINDS = (('residual_m', 'residual'), ('left_out_m', 'left out'), ('error_m', 'check'))
 
@@ -109,7 +107,7 @@ def control_points(sources: ReportSources) -> str:
                             f'{1e3 * a:+.1f} ± {1e3 * b:.1f}'
                             for a, b in zip(off, sigma, strict=True)
                         ),
-                        _ratio(off, sigma),
+                        _ratio(off, sigma, point.get(key.replace('_m', '_is_odd'))),
                     )
                 )
     places = [
@@ -119,7 +117,7 @@ def control_points(sources: ReportSources) -> str:
     ]  # fmt: skip
     checks = [point for point in tie['points'] if 'error_m' in point]
     verdict = (
-        f'The {len(checks)} check points, which did not take part, are off by'
+        f'{counted(len(checks), "check point")}, with no part in the adjustment: off by'
         f' {_rms_mm(checks, "error_m")} mm (RMS of a coordinate).'
         if checks
         else 'No check points were measured.'
@@ -141,11 +139,11 @@ def _scale(tie: Mapping[str, Any]) -> str:
     return f' The scale was estimated: {found["value"]:.5f} ± {found["sigma"]:.5f}.'
 
 
-def _ratio(off: list[float], sigma: list[float]) -> str:
+def _ratio(off: list[float], sigma: list[float], odd: bool | None) -> str:
     """Return how far off a point is in standard deviations (RMS of its coordinates), HTML."""
     ratio = float(np.sqrt(np.mean((np.array(off) / np.maximum(sigma, 1e-9)) ** 2)))
     shown = fixed(ratio, 2)
-    return f'<span class="bad">{shown}</span>' if ratio > _MOST_SIGMAS else shown
+    return f'<span class="bad">{shown}</span>' if odd else shown
 
 
 def _rms_mm(points: list[dict[str, Any]], key: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from binocular_recon.apps.survey.report.sources import ReportSources, Statements, text
 from binocular_recon.drawing.page import section, table
-from binocular_recon.number_text import fixed, plain, reach, significant
+from binocular_recon.number_text import counted, fixed, plain, reach, significant
 
 # Rows of a table; of longer recordings the first are shown.
 _MOST_ROWS = 100
@@ -43,8 +43,7 @@ def _images(summary: Mapping[str, Any]) -> str:
     source = summary.get('source')
     source = source if isinstance(source, dict) else {}
     names = [source[key] for key in ('bag', 'left', 'right') if source.get(key)]
-    count = len(summary['frames'])
-    pairs = f'{count} image pairs' if count != 1 else '1 image pair'
+    pairs = counted(len(summary['frames']), 'image pair')
     return f'{pairs} of {text(", ".join(map(str, names)) or "an unknown source")}'
 
 
@@ -78,14 +77,15 @@ def left_out(sources: ReportSources) -> str:
     ]  # fmt: skip
     notes = [text(one) for one in summary.get('damage') or []]
     if unpaired := summary.get('unpaired'):
-        notes.append(text(f'{unpaired} of {summary["images_read"]} images have no partner.'))
+        read = summary['images_read']
+        has = counted(unpaired, f'of {read} images has', f'of {read} images have')
+        notes.append(text(f'{has} no partner.'))
     notes += [f'<b>Frame {text(index)}:</b> {text(words)}' for index, words in _warnings(summary)]
     if not summary.get('finished'):
         notes.append('The run was interrupted: more image pairs may exist.')
     items = ''.join(f'<li>{note}</li>' for note in notes)
-    count = {0: 'No image pair was', 1: '1 image pair was'}.get(
-        len(pairs), f'{len(pairs)} image pairs were'
-    )
+    count = counted(len(pairs), 'image pair was', 'image pairs were')
+    count = count if pairs else 'No image pair was'
     return section(
         'What was left out, and why',
         f'{count} left out. Pixels without a match are filled from around them or have no point;'

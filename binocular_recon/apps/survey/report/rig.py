@@ -9,7 +9,7 @@ from typing import Any
 
 from binocular_recon.apps.survey.report.sources import ReportSources, text
 from binocular_recon.drawing.page import section, table
-from binocular_recon.number_text import day_text, fixed, significant
+from binocular_recon.number_text import counted, day_text, fixed, significant
 
 
 def calibration(sources: ReportSources) -> str:
@@ -44,7 +44,8 @@ def calibration(sources: ReportSources) -> str:
     warnings = ''.join(f'<li>{text(one)}</li>' for one in content.get('warnings') or ())
     return section(
         'Calibration',
-        f'{_age(sources, content)} {len(boards)} boards with {marks} marks in both images; RMS of'
+        f'{_age(sources, content)} {counted(len(boards), "board")} with'
+        f' {counted(marks, "mark")} in both images; RMS of'
         f' the marks {fixed(content["rms_px"], 3)} px, mean row difference'
         f' {fixed(content["row_difference_px"]["adjusted"]["mean"], 3)} px.',
         table(('parameter', 'value ± sigma'), rows),

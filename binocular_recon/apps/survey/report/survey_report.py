@@ -21,7 +21,7 @@ from binocular_recon.drawing.page import cards
 from binocular_recon.io.files import write_text
 from binocular_recon.measurement.results import CHECK_FILE, MEASUREMENTS_FILE
 from binocular_recon.measurement.site.tie import TIE_FILE
-from binocular_recon.number_text import fixed
+from binocular_recon.number_text import counted, fixed
 
 REPORT_FILE = 'report.html'
 
@@ -80,7 +80,8 @@ def render(folder: Path, details: ReportDetails) -> str:
     glance = part('summary.json', _glance)
     lines = [f'Not stated: {text(one)}.' for one in sources.missing]
     if left := sources.summary.get('left_out'):
-        lines.append(f'{len(left)} image pairs were left out; see below.')
+        pairs = counted(len(left), 'image pair was', 'image pairs were')
+        lines.append(f'{pairs} left out; see below.')
     return page_around_cloud(
         details,
         sources.day,

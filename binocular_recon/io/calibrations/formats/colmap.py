@@ -27,6 +27,7 @@ from binocular_recon.io.calibrations.values import (
     side_of,
 )
 from binocular_recon.io.text_files import open_file
+from binocular_recon.number_text import counted
 
 # Lens, and where its parameters are, of each model: focal lengths, then the coefficients of D in
 # the order of the lens; cx and cy follow the focal lengths.
@@ -246,7 +247,8 @@ def _posed(
     if spread > _SPREAD:
         raise CalibrationError(
             f'the pose of cameras {chosen[0]} and {chosen[1]} differs from frame to frame by'
-            f' {spread:.0%} of the baseline (median of {len(pairs)} frames), at most {_SPREAD:.0%}'
+            f' {spread:.0%} of the baseline (median of {counted(len(pairs), "frame")}), at'
+            f' most {_SPREAD:.0%}'
             ' are expected of a rig; reconstruct with rig constraints (colmap rig_configurator)'
         )
     if choice.baseline_m is None:

@@ -26,6 +26,7 @@ from binocular_recon.io.calibrations.values import (
     side_of,
     transformation,
 )
+from binocular_recon.number_text import counted
 
 _EXPORT = (
     'align the images of both cameras and export the cameras (File > Export > Export Cameras)'
@@ -66,7 +67,7 @@ class MetashapeFormat(CalibrationFormat):
         chunks = files[0].content.findall('chunk')
         if len(chunks) != 1:
             raise CalibrationError(
-                f'{paths[0]} holds {len(chunks)} chunks; export the cameras of one'
+                f'{paths[0]} holds {counted(len(chunks), "chunk")}; export the cameras of one'
             )
         return self._of_chunk(chunks[0], paths, choice)
 
