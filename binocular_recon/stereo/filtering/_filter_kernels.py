@@ -14,6 +14,13 @@ REACH = 3  # radius of the window in which the scatter of the data is taken, px
 # Where matches scatter by more, more of them are wrong altogether: 1 % at 0.25 px, 10 % at 0.5 px.
 # The factor on the cube of the variance, 1/px^4, that accounts for these.
 MISMATCHED = np.float32(1 / 0.45**4)
+# Where the solution bends by more than noise explains, over this many pixels to either side, there
+# is a step, and a match may belong to its other side. The standard deviation that accounts for it
+# is half of the bend, of which no more counts than the last, px: all points near large steps would
+# be left out of clouds, and most of them are right.
+BEND_REACHES = (2, 4)
+BEND_NOISE = np.float32(3.0**2)  # the largest bend squared that noise explains, in variances
+BEND_SHARE, MOST_BEND = np.float32(0.5**2), np.float32(4.0)
 _WHOLE = np.float32(1e-3)
 # Least difference of two pixels, in place of 0, of which OpenCV's power takes ten times as long.
 LEAST_DIFFERENCE = np.float32(1e-30)
@@ -147,7 +154,32 @@ def _sum_along_row(padded: Array, out: Array) -> None:
 
 
 @inline_kernel
-def _set_sigma(terms: SigmaTerms, y: int, squares: Array, counts: Array, out: Array) -> None:
+def _enlarge(bends: Array, before: Array, middle: Array, after: Array) -> None:
+    for x in range(len(bends)):
+        bends[x] = max(bends[x], abs(before[x] + after[x] - middle[x] - middle[x]))
+
+
+@inline_kernel
+def _find_bends(filtered: Array, y: int, bends: Array) -> None:
+    """Write by how much each pixel of a row is off the middle of two others, times two.
+
+    The largest value along the row and the column; it is 0 on planes.
+    """
+    height, width = filtered.shape
+    row = filtered[y]
+    bends[:] = ZERO
+    for reach in BEND_REACHES:
+        if width > 2 * reach:
+            inside = slice(reach, width - reach)
+            _enlarge(bends[inside], row[: width - 2 * reach], row[inside], row[2 * reach :])
+        if reach <= y < height - reach:
+            _enlarge(bends, filtered[y - reach], row, filtered[y + reach])
+
+
+@inline_kernel
+def _set_sigma(
+    terms: SigmaTerms, y: int, squares: Array, counts: Array, bends: Array, out: Array
+) -> None:
     measured, level, hole = terms.measured[y], terms.confidence[y], terms.holes[y]
     one, unit, least = np.float32(1), np.float32(terms.unit), np.float32(terms.least)
     rounding = np.float32(terms.rounding)
@@ -156,8 +188,10 @@ def _set_sigma(terms: SigmaTerms, y: int, squares: Array, counts: Array, out: Ar
         matched = unit * (one / min(level[x], one) - one)
         variance = least + (hole[x] if np.isnan(measured[x]) else matched)
         variance += max(squares[x] / max(counts[x], one), rounding)
-        mismatched = ZERO if np.isnan(measured[x]) else MISMATCHED * variance * variance * variance
-        out[x] = np.sqrt(variance + mismatched)
+        matched = variance + MISMATCHED * variance * variance * variance
+        bend = min(bends[x], MOST_BEND)
+        matched += BEND_SHARE * max(bend * bend - BEND_NOISE * matched, ZERO)
+        out[x] = np.sqrt(variance if np.isnan(measured[x]) else matched)
 
 
 @kernel
@@ -165,12 +199,13 @@ def standard_deviation(terms: SigmaTerms, sigma: Array, start: int, stop: int) -
     """Write the standard deviation of each pixel.
 
     It is the root of the sum of a constant, the variance of the match or of the hole, the scatter
-    of the data around the solution, and for matches the share of mismatches.
+    of the data around the solution, and for matches the shares of mismatches and of steps nearby.
     """
     measured, filtered = terms.measured, terms.filtered
     height, width = measured.shape
     columns = np.zeros((2, width + 2 * REACH), np.float32)
     squares, counts = np.empty(width, np.float32), np.empty(width, np.float32)
+    bends = np.empty(width, np.float32)
     for y in range(start, stop):
         columns[:] = ZERO
         for near in range(max(0, y - REACH), min(height, y + REACH + 1)):
@@ -178,4 +213,5 @@ def standard_deviation(terms: SigmaTerms, sigma: Array, start: int, stop: int) -
             _add_squares(measured[near], filtered[near], columns[0, inside], columns[1, inside])
         _sum_along_row(columns[0], squares)
         _sum_along_row(columns[1], counts)
-        _set_sigma(terms, y, squares, counts, sigma[y])
+        _find_bends(filtered, y, bends)
+        _set_sigma(terms, y, squares, counts, bends, sigma[y])

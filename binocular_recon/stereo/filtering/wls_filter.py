@@ -183,8 +183,8 @@ def filter_disparity(
 
     The variance of a pixel is that of its match plus the scatter of the data around the solution
     nearby. The scatter is at least 1/12 px^2 if all data are whole pixels, because a solution that
-    follows rounded data does not show their error. For pixels without a match see
-    `holes.assess_holes`.
+    follows rounded data does not show their error. A match near a step may belong to its other
+    side, which adds to its variance. For pixels without a match see `holes.assess_holes`.
 
     """
     wls = DisparityFilter(config)
@@ -197,7 +197,7 @@ def sigma_if_right(sigma_px: FloatArray) -> FloatArray:
     """Return the sigma of matches of which it is known that they are not wrong altogether, px.
 
     The variance of a match is v + `MISMATCHED` v^3, where the second term stands for mismatches;
-    this is the root of v.
+    this is the root of v. What steps nearby add is not taken out.
 
     Parameters
     ----------
