@@ -55,7 +55,6 @@ def _invert_pivots(diagonal: Vector, link_east: Vector, first: int, last: int) -
     eliminated = ZERO
     for i in range(first, last, 2):
         pivot, square = diagonal[i] - eliminated, link_east[i] * link_east[i]
-        next_square = link_east[i + 1] * link_east[i + 1]
         if pivot > 0:
             # the next pivot, times this one
             product = diagonal[i + 1] * pivot - square
@@ -63,8 +62,9 @@ def _invert_pivots(diagonal: Vector, link_east: Vector, first: int, last: int) -
         else:
             product, inverse, share = diagonal[i + 1], ZERO, ONE
         diagonal[i] = inverse
-        diagonal[i + 1] = share / product if product > 0 else ZERO
-        eliminated = next_square * share / product if product > 0 else ZERO
+        next_inverse = share / product if product > 0 else ZERO
+        diagonal[i + 1] = next_inverse
+        eliminated = link_east[i + 1] * link_east[i + 1] * next_inverse
 
 
 @kernel

@@ -32,7 +32,7 @@ def level_range(image: Array) -> tuple[float, float]:
     store(lanes, LANES, high)
     for i in range(LANES):
         least, most = min(least, lanes[i]), max(most, lanes[LANES + i])
-    return least, most
+    return float(least), float(most)
 
 
 @kernel
