@@ -158,7 +158,51 @@ def _conversion(dtype: Any) -> Any:
 
 
 to_uint8 = operation(lambda vector: vector.astype(np.uint8))(_conversion(types.uint8))
+to_uint16 = operation(lambda vector: vector.astype(np.uint16))(_conversion(types.uint16))
 to_int32 = operation(lambda vector: vector.astype(np.int32))(_conversion(types.int32))
+to_float32 = operation(lambda vector: vector.astype(np.float32))(_conversion(types.float32))
+
+
+def _plain_narrow(vector: Any) -> Any:
+    return (vector.view(np.uint32) >> 16).astype(np.uint16)
+
+
+@operation(_plain_narrow)
+def narrow(_context: Any, vector: Any) -> Any:
+    """Return the upper 16 bits of float32: sign, exponent and 7 bits, rounded towards zero."""
+    if not (isinstance(vector, VectorType) and vector.dtype == types.float32):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        words = ir.VectorType(ir.IntType(32), LANES)
+        bits = builder.bitcast(arguments[0], words)
+        upper = builder.lshr(bits, ir.Constant(words, [16] * LANES))
+        return builder.trunc(upper, context.get_value_type(signature.return_type))
+
+    return VectorType(types.uint16)(vector), generate
+
+
+def _plain_widen(vector: Any) -> Any:
+    if vector.dtype == np.float32:
+        return vector
+    return (vector.astype(np.uint32) << 16).view(np.float32)
+
+
+@operation(_plain_widen)
+def widen(_context: Any, vector: Any) -> Any:
+    """Return the float32 of which `narrow` kept the upper bits; float32 as it is."""
+    if not (isinstance(vector, VectorType) and vector.dtype in (types.float32, types.uint16)):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        if isinstance(vector.dtype, types.Float):
+            return arguments[0]
+        words = ir.VectorType(ir.IntType(32), LANES)
+        bits = builder.zext(arguments[0], words)
+        upper = builder.shl(bits, ir.Constant(words, [16] * LANES))
+        return builder.bitcast(upper, context.get_value_type(signature.return_type))
+
+    return VectorType(types.float32)(vector), generate
 
 
 def _operator(operation: Any, integer: str, real: str) -> None:

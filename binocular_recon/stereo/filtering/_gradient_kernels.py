@@ -89,7 +89,9 @@ def update_direction(
         first, row_pAp, row_pr = node(lattice.stride, y, 0), zero, zero
         for k in range(first, first + lattice.width, LANES):
             value = load(z, k) + factor * load(p, k)
-            product = factor * load(Ap, k) - minus_product(lattice, z, k, ahead, back)
+            product = factor * load(Ap, k) - minus_product(
+                lattice.links, lattice.excess, z, k, ahead, back
+            )
             store(p, k, value)
             store(Ap, k, product)
             row_pAp = row_pAp + value * product

@@ -13,6 +13,7 @@ from binocular_recon._jit import over_strips
 from binocular_recon._simd import LANES
 from binocular_recon.stereo.filtering import _lattice_kernels as lattice_kernels
 from binocular_recon.stereo.filtering import _region_kernels as region_kernels
+from binocular_recon.stereo.filtering._factor_kernels import factorise
 from binocular_recon.stereo.filtering._lattice_kernels import OVERLAP, PAD, Lattice, Vector
 from binocular_recon.stereo.filtering._transfer_kernels import Transfer
 
@@ -48,7 +49,9 @@ class Level:
         self.lattice = Lattice(
             links=np.zeros((4, nodes), np.float32),
             excess=np.zeros(nodes, np.float32),
-            factors=np.zeros((strips, 5, strip_nodes), np.float32),
+            rough_links=np.zeros((4, nodes), np.uint16),
+            factors=np.zeros((strips, 4, strip_nodes), np.uint16),
+            inverse=np.zeros((strips, strip_nodes), np.float32),
             scratch=np.zeros((strips, strip_nodes), np.float32),
             later=np.array(later),
             earlier=np.array(earlier),
@@ -68,13 +71,17 @@ class Level:
         over_strips(function, self.lattice.rows, *args, strip=self.lattice.strip)
 
     def factorise(self) -> None:
-        self.run(lattice_kernels.factorise, self.lattice)
+        self.run(factorise, self.lattice)
 
     def smooth(self, rhs: Vector, x: Vector, out: Vector, *, correct: bool) -> None:
         self.run(lattice_kernels.smooth, self.lattice, rhs, x, out, correct)
 
     def residual(self, rhs: Vector, x: Vector, out: Vector) -> None:
-        self.run(lattice_kernels.residual, self.lattice, rhs, x, out)
+        self.run(lattice_kernels.residual, self.lattice, self.lattice.links, rhs, x, out)
+
+    def rough_residual(self, rhs: Vector, x: Vector, out: Vector) -> None:
+        """Write the residual of the rough links, which is enough for a preconditioner."""
+        self.run(lattice_kernels.residual, self.lattice, self.lattice.rough_links, rhs, x, out)
 
     def strip_sums(self, function: Callable[..., None], *args: Any) -> npt.NDArray[np.float64]:
         """Call a kernel that writes three sums per strip; return them, (strips, 3)."""
@@ -100,10 +107,12 @@ class Regions:
         )
         self._members, self._count = (nodes, numbers), 0
         self._inverse, self._values = np.zeros((2, 1))
+        self._constants = level.vector()  # stays 0 outside regions
 
     def find(self, strong: float) -> None:
         """Find the regions, held together by links above ``strong``."""
         lattice, labels = self._level.lattice, self._labels
+        self._constants.fill(0)
         last, self._count = region_kernels.label_regions(
             lattice, strong, labels, self._parents, self._members
         )
@@ -113,10 +122,13 @@ class Regions:
         # a region that nothing holds has no correction
         self._inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
 
-    def solve(self, rhs: Vector, out: Vector) -> None:
-        """Write the constant in each region that takes the sum of rhs over it away; else 0."""
+    def solve(self, rhs: Vector) -> Vector:
+        """Return the constant in each region that takes the sum of rhs over it away; else 0."""
         nodes, numbers = (array[: self._count] for array in self._members)
-        region_kernels.correct_regions(nodes, numbers, self._inverse, rhs, self._values, out)
+        region_kernels.correct_regions(
+            nodes, numbers, self._inverse, rhs, self._values, self._constants
+        )
+        return self._constants
 
 
 class Coarser(NamedTuple):

@@ -15,20 +15,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from binocular_recon._jit import inline_kernel, kernel, ordered_kernel
+from binocular_recon._jit import inline_kernel, kernel
 from binocular_recon._simd import (
     LANES,
     at_most,
     first_of,
-    larger,
     last_of,
     load,
     slide,
     splat,
     store,
+    to_float32,
+    widen,
 )
 
 Vector = npt.NDArray[np.float32]
+Halves = npt.NDArray[np.uint16]
 Offsets = tuple[Any, Any, Any]
 
 PAD = 2
@@ -37,6 +39,9 @@ OVERLAP = 4
 ZERO = np.float32(0)
 ONE = np.float32(1)
 TINY = np.float32(1e-30)  # keeps divisors above zero
+# Factors are from 0 to 1. The smoother is bound by memory, so it reads them with 16 bits.
+STEPS = np.float32(65535)
+_STEP = np.float32(2.0**-16)
 _NEGLIGIBLE = np.float32(1e-18)
 
 
@@ -49,8 +54,12 @@ class Lattice(NamedTuple):
         To the next node of the row (east) and to three nodes of later rows.
     excess : (nodes,) float32
         Diagonal minus the sum of the links.
-    factors : (strips, 5, nodes of a strip) float32
-        Incomplete Cholesky factors: unit upper triangle by link, inverse diagonal.
+    rough_links : (4, nodes) uint16
+        The upper bits of the links, see `narrow`: what the preconditioner needs of them.
+    factors : (strips, 4, nodes of a strip) uint16
+        Incomplete Cholesky factors: the unit upper triangle by link, in `STEPS`.
+    inverse : (strips, nodes of a strip) float32
+        Their inverse diagonal.
     scratch : (strips, nodes of a strip) float32
         Work space of the smoother.
     later, earlier : (2, 4) int64
@@ -65,7 +74,9 @@ class Lattice(NamedTuple):
 
     links: Vector
     excess: Vector
-    factors: Vector
+    rough_links: Halves
+    factors: Halves
+    inverse: Vector
     scratch: Vector
     later: npt.NDArray[np.int64]
     earlier: npt.NDArray[np.int64]
@@ -90,25 +101,30 @@ def offsets(table: npt.NDArray[np.int64], y: int) -> Offsets:
 
 
 @inline_kernel
-def minus_product(lattice: Lattice, x: Vector, k: int, ahead: Offsets, back: Offsets) -> Any:
-    """Return a vector of ``-A x``, from node k on."""
-    links = lattice.links
-    east, one, two, three = links[0], links[1], links[2], links[3]
-    here = load(x, k)
-    total = load(east, k) * (load(x, k + 1) - here)
-    total = total + load(east, k - 1) * (load(x, k - 1) - here)
-    total = total + load(one, k) * (load(x, k + ahead[0]) - here)
-    total = total + load(one, k - back[0]) * (load(x, k - back[0]) - here)
-    total = total + load(two, k) * (load(x, k + ahead[1]) - here)
-    total = total + load(two, k - back[1]) * (load(x, k - back[1]) - here)
-    total = total + load(three, k) * (load(x, k + ahead[2]) - here)
-    total = total + load(three, k - back[2]) * (load(x, k - back[2]) - here)
-    return total - load(lattice.excess, k) * here
+def _pull(links: Any, k: int, x: Vector, j: int, here: Any) -> Any:
+    return widen(load(links, k)) * (load(x, j) - here)
 
 
 @inline_kernel
-def _factor_times(factors: Vector, i: int, z: Vector, j: int, a: int) -> Any:
-    return load(factors[a], i) * load(z, j)
+def minus_product(
+    links: Any, excess: Vector, x: Vector, k: int, ahead: Offsets, back: Offsets
+) -> Any:
+    """Return a vector of ``-A x``, from node k on; ``links`` are the exact or the rough ones."""
+    east, one, two, three = links[0], links[1], links[2], links[3]
+    here = load(x, k)
+    total = _pull(east, k, x, k + 1, here) + _pull(east, k - 1, x, k - 1, here)
+    total = total + _pull(one, k, x, k + ahead[0], here)
+    total = total + _pull(one, k - back[0], x, k - back[0], here)
+    total = total + _pull(two, k, x, k + ahead[1], here)
+    total = total + _pull(two, k - back[1], x, k - back[1], here)
+    total = total + _pull(three, k, x, k + ahead[2], here)
+    total = total + _pull(three, k - back[2], x, k - back[2], here)
+    return total - load(excess, k) * here
+
+
+@inline_kernel
+def _factor_times(factors: Halves, i: int, z: Vector, j: int, a: int) -> Any:
+    return to_float32(load(factors[a], i)) * load(z, j)
 
 
 @inline_kernel
@@ -118,16 +134,16 @@ def _without_negligible(share: Any) -> Any:
 
 
 @inline_kernel
-def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
+def _solve_forward(z: Vector, factor: Halves, first: int, last: int) -> None:
     """Replace z[i] by z[i] + factor[i - 1] * z[i - 1], in rising order.
 
     A vector at a time, by doubling: after the step of ``d``, ``value`` of a node holds the
     contributions of the ``2 d`` nodes up to it, and ``share`` is the factor on those before.
     `_solve_backward` is the mirror image; they are written twice because `slide` takes literals.
     """
-    zero, one, before = splat(ZERO), splat(ONE), splat(ZERO)
+    zero, one, before, step = splat(ZERO), splat(ONE), splat(ZERO), splat(_STEP)
     for i in range(first, last, LANES):
-        value, share = load(z, i), load(factor, i - 1)
+        value, share = load(z, i), to_float32(load(factor, i - 1)) * step
         value = value + share * slide(zero, value, 1)
         share = share * slide(one, share, 1)
         value = value + share * slide(zero, value, 2)
@@ -144,11 +160,11 @@ def _solve_forward(z: Vector, factor: Vector, first: int, last: int) -> None:
 
 
 @inline_kernel
-def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
+def _solve_backward(z: Vector, factor: Halves, first: int, last: int) -> None:
     """Replace z[i] by z[i] + factor[i] * z[i + 1], in falling order."""
-    zero, one, after = splat(ZERO), splat(ONE), splat(ZERO)
+    zero, one, after, step = splat(ZERO), splat(ONE), splat(ZERO), splat(_STEP)
     for i in range(last - LANES, first - 1, -LANES):
-        value, share = load(z, i), load(factor, i)
+        value, share = load(z, i), to_float32(load(factor, i)) * step
         value = value + share * slide(value, zero, 31)
         share = share * slide(share, one, 31)
         value = value + share * slide(value, zero, 30)
@@ -165,71 +181,16 @@ def _solve_backward(z: Vector, factor: Vector, first: int, last: int) -> None:
 
 
 @kernel
-def residual(lattice: Lattice, rhs: Vector, x: Vector, out: Vector, start: int, stop: int) -> None:
-    """Write ``rhs - A x``."""
+def residual(
+    lattice: Lattice, links: Any, rhs: Vector, x: Vector, out: Vector, start: int, stop: int
+) -> None:
+    """Write ``rhs - A x``; ``links`` are the exact or the rough ones of the lattice."""
     for y in range(start, stop):
         ahead, back = offsets(lattice.later, y), offsets(lattice.earlier, y)
         first = node(lattice.stride, y, 0)
         for k in range(first, first + lattice.width, LANES):
-            store(out, k, load(rhs, k) + minus_product(lattice, x, k, ahead, back))
-
-
-@inline_kernel
-def _load_strip(lattice: Lattice, factors: Vector, top: int, bottom: int) -> None:
-    """Copy a strip's matrix without negative links, so that the factors stay positive."""
-    stride, links, zero = lattice.stride, lattice.links, splat(ZERO)
-    diagonal = factors[4]
-    for y in range(top, bottom):
-        back = lattice.earlier[y & 1]
-        k, first = node(stride, y, 0), node(stride, y - top, 0)
-        for i in range(first, first + lattice.width, LANES):
-            total = load(lattice.excess, k)
-            for a in range(4):
-                link = larger(load(links[a], k), zero)
-                store(factors[a], i, link)
-                total = total + link + larger(load(links[a], k - back[a]), zero)
-            store(diagonal, i, total)
-            k += LANES
-    end = (bottom - top + PAD) * stride
-    factors[:, end : end + PAD * stride] = ZERO
-
-
-@ordered_kernel
-def _invert_pivots(diagonal: Vector, link_east: Vector, first: int, last: int) -> None:
-    """Replace the diagonal of a row by 1 / pivots; each elimination changes the next diagonal."""
-    eliminated = ZERO
-    for i in range(first, last):
-        pivot = diagonal[i] - eliminated
-        inverse = ONE / pivot if pivot > 0 else ZERO
-        diagonal[i] = inverse
-        eliminated = link_east[i] * link_east[i] * inverse
-
-
-@kernel
-def factorise(lattice: Lattice, start: int, stop: int) -> None:
-    """Factorise a strip's matrix by incomplete Cholesky, IC(0), row by row."""
-    factors, stride = lattice.factors[start // lattice.strip], lattice.stride
-    inverse = factors[4]
-    top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
-    _load_strip(lattice, factors, top, bottom)
-    for y in range(top, bottom):
-        ahead, first = lattice.later[y & 1], node(stride, y - top, 0)
-        last = first + lattice.width
-        _invert_pivots(inverse, factors[0], first, last)
-        for t in range(4):
-            a, b, c = lattice.triangles[t]
-            for i in range(first, last, LANES):
-                fill = load(factors[a], i) * load(factors[b], i) * load(inverse, i)
-                j = i + ahead[a]
-                store(factors[c], j, load(factors[c], j) + fill)
-        for a in range(4):
-            for i in range(first, last, LANES):
-                link = load(factors[a], i)
-                scaled = link * load(inverse, i)
-                store(factors[a], i, scaled)
-                if a > 0:
-                    j = i + ahead[a]
-                    store(inverse, j, load(inverse, j) - link * scaled)
+            product = minus_product(links, lattice.excess, x, k, ahead, back)
+            store(out, k, load(rhs, k) + product)
 
 
 @kernel
@@ -241,7 +202,8 @@ def smooth(
     Writes ``M^-1 rhs``, or with ``correct`` ``x + M^-1 (rhs - A x)``; ``out`` must not be ``x``.
     """
     stride, n = lattice.stride, lattice.width
-    factors, z = lattice.factors[start // lattice.strip], lattice.scratch[start // lattice.strip]
+    strip, step = start // lattice.strip, splat(_STEP)
+    factors, inverse, z = lattice.factors[strip], lattice.inverse[strip], lattice.scratch[strip]
     top, bottom = max(0, start - OVERLAP), min(lattice.rows, stop + OVERLAP)
     for y in range(top, bottom):
         ahead, back = offsets(lattice.later, y), offsets(lattice.earlier, y)
@@ -249,22 +211,23 @@ def smooth(
         for i in range(first, first + n, LANES):
             value = load(rhs, k)
             if correct:
-                value = value + minus_product(lattice, x, k, ahead, back)
-            value = value + _factor_times(factors, i - back[0], z, i - back[0], 1)
-            value = value + _factor_times(factors, i - back[1], z, i - back[1], 2)
-            value = value + _factor_times(factors, i - back[2], z, i - back[2], 3)
-            store(z, i, value)
+                value = value + minus_product(
+                    lattice.rough_links, lattice.excess, x, k, ahead, back
+                )
+            inflow = _factor_times(factors, i - back[0], z, i - back[0], 1)
+            inflow = inflow + _factor_times(factors, i - back[1], z, i - back[1], 2)
+            inflow = inflow + _factor_times(factors, i - back[2], z, i - back[2], 3)
+            store(z, i, value + inflow * step)
             k += LANES
         _solve_forward(z, factors[0], first, first + n)
     for y in range(bottom - 1, top - 1, -1):
         ahead = offsets(lattice.later, y)
         k, first = node(stride, y, 0), node(stride, y - top, 0)
         for i in range(first, first + n, LANES):
-            value = load(z, i) * load(factors[4], i)
-            value = value + _factor_times(factors, i, z, i + ahead[0], 1)
-            value = value + _factor_times(factors, i, z, i + ahead[1], 2)
-            value = value + _factor_times(factors, i, z, i + ahead[2], 3)
-            store(z, i, value)
+            inflow = _factor_times(factors, i, z, i + ahead[0], 1)
+            inflow = inflow + _factor_times(factors, i, z, i + ahead[1], 2)
+            inflow = inflow + _factor_times(factors, i, z, i + ahead[2], 3)
+            store(z, i, load(z, i) * load(inverse, i) + inflow * step)
         _solve_backward(z, factors[0], first, first + n)
         if start <= y < stop:
             for i in range(first, first + n, LANES):

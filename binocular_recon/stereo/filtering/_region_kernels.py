@@ -153,7 +153,7 @@ def correct_regions(
     values: npt.NDArray[np.float64],
     out: Vector,
 ) -> None:
-    """Write the sum of rhs over its region, times the inverse, to each node; 0 outside regions.
+    """Write the sum of rhs over its region, times the inverse, to each of its nodes.
 
     ``nodes`` and ``numbers``: those with a label, and these; ``values`` is work space. In order,
     not by strips.
@@ -163,6 +163,5 @@ def correct_regions(
         values[numbers[i]] += rhs[nodes[i]]
     for i in range(len(values)):
         values[i] *= inverse[i]
-    out[:] = ZERO
     for i in range(len(nodes)):
         out[nodes[i]] = np.float32(values[numbers[i]])

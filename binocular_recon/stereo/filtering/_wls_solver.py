@@ -188,7 +188,7 @@ class System:
             return
         coarse, transfer = self._coarser[depth + 1]
         level.smooth(rhs, level.x, level.x, correct=False)
-        level.residual(rhs, level.x, level.work)
+        level.rough_residual(rhs, level.x, level.work)
         coarse.run(transfers.restrict, level.work, transfer, coarse.rhs)
         self._cycle(depth + 1, coarse.rhs, coarse.work)
         coarse.run(transfers.prolong, coarse.work, transfer, level.x)
@@ -197,11 +197,10 @@ class System:
     def _precondition(self, rhs: Vector, out: Vector) -> None:
         """Write roughly ``A^-1 rhs`` of the black pixels."""
         black = self._black
-        self._regions.solve(rhs, black.work)
-        black.smooth(rhs, black.work, black.x, correct=True)
+        black.smooth(rhs, self._regions.solve(rhs), black.x, correct=True)
         if self._coarser:
             coarse, transfer = self._coarser[0]
-            black.residual(rhs, black.x, black.work)
+            black.rough_residual(rhs, black.x, black.work)
             coarse.run(reduction.restrict_black, black.work, transfer, coarse.rhs)
             self._cycle(0, coarse.rhs, coarse.work)
             coarse.run(reduction.prolong_black, coarse.work, transfer, black.x)

@@ -15,7 +15,11 @@ from binocular_recon.config import MatchConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.images import ByteImage, FloatImage
 from binocular_recon.stereo.matching._ncc_kernels import PaddedPair
-from binocular_recon.stereo.matching._preparation_kernels import is_whole, prepare_strip
+from binocular_recon.stereo.matching._preparation_kernels import (
+    is_whole,
+    level_range,
+    prepare_strip,
+)
 from binocular_recon.stereo.matching._selection_kernels import Selection
 
 # Grey levels farther outside 0..255 are not interpolation overshoot, they are in another unit.
@@ -32,17 +36,14 @@ _STEPS_OF_IMAGE = 24
 
 def check_pair(left: FloatImage, right: FloatImage) -> tuple[FloatImage, FloatImage]:
     """Return the images as float32, or raise an ImageError that says what is wrong."""
-    left, right = np.asarray(left, np.float32), np.asarray(right, np.float32)
+    left, right = np.ascontiguousarray(left, np.float32), np.ascontiguousarray(right, np.float32)
     if left.ndim != 2 or left.shape != right.shape:
         raise ImageError(
             f'left is {left.shape} and right {right.shape}; both must be grey images of the'
             ' same (rows, columns)'
         )
     for name, image in (('left', left), ('right', right)):
-        low, high = (
-            np.fmin.reduce(image, None, initial=np.inf),
-            np.fmax.reduce(image, None, initial=-np.inf),
-        )
+        low, high = level_range(image)
         if low < -_OVERSHOOT or high > 255 + _OVERSHOOT:
             raise ImageError(
                 f'{name} has grey levels from {low:g} to {high:g}; they must be within 0..255'

@@ -6,9 +6,33 @@ from __future__ import annotations
 import numpy as np
 
 from binocular_recon._jit import Array, inline_kernel, kernel
+from binocular_recon._simd import LANES, larger, load, smaller, splat, store
 from binocular_recon.stereo.matching._ncc_kernels import PaddedPair
 
 MID_GREY = 128
+_FAR = np.float32(np.inf)
+
+
+@kernel
+def level_range(image: Array) -> tuple[float, float]:
+    """Return the smallest and the largest level, except NaN; of none, infinity and -infinity."""
+    low, high, least, most = splat(_FAR), splat(-_FAR), _FAR, -_FAR
+    for y in range(image.shape[0]):
+        row, x = image[y], 0
+        while x + LANES <= row.size:
+            low, high = smaller(low, load(row, x)), larger(high, load(row, x))
+            x += LANES
+        while x < row.size:
+            # comparisons with NaN are false
+            least = min(least, row[x])
+            most = max(most, row[x])
+            x += 1
+    lanes = np.empty(2 * LANES, np.float32)
+    store(lanes, 0, low)
+    store(lanes, LANES, high)
+    for i in range(LANES):
+        least, most = min(least, lanes[i]), max(most, lanes[LANES + i])
+    return float(least), float(most)
 
 
 @kernel

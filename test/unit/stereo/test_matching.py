@@ -12,6 +12,7 @@ from binocular_recon.config import ChainConfig
 from binocular_recon.errors import ImageError
 from binocular_recon.stereo.confidence import confidence_from_sigma, sigma_from_confidence
 from binocular_recon.stereo.matching import match, ncc_scores
+from binocular_recon.stereo.matching._preparation_kernels import level_range
 from binocular_recon.stereo.matching.refinement import drop_speckles
 from test import naive_ncc
 from test.unit.stereo.matching_pairs import both_ways, config, shifted_pair, texture
@@ -68,6 +69,17 @@ def test_scores_equal_the_naive_twin(
     np.testing.assert_array_equal(np.isnan(scores), np.isnan(expected))
     if np.isfinite(expected).any():
         assert np.nanmax(np.abs(scores - expected)) < 2e-6
+
+
+@pytest.mark.parametrize('width', [5, 32, 71])
+def test_levels_of_another_unit_are_found_wherever_they_are(width: int) -> None:
+    rng = np.random.default_rng(7)
+    for image in (texture(3, width, 1), np.full((3, width), np.nan, np.float32)):
+        low, high = rng.permutation(image.size)[:2]
+        image.flat[low], image.flat[high] = -300, 700
+        image.flat[(low + 1) % image.size if (low + 1) % image.size != high else low - 1] = np.nan
+        assert level_range(image) == (-300, 700)
+    assert level_range(np.full((3, width), np.nan, np.float32)) == (np.inf, -np.inf)
 
 
 def test_winners_equal_the_naive_twin() -> None:
