@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels: what is compiled is up to date, and the threads that run them survive a fork."""
+"""Kernels: what is compiled is up to date, and gives the bits of what was loaded."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import multiprocessing
 import os
 import pickle
 import shutil
@@ -290,28 +289,50 @@ def test_compiled_and_loaded_kernels_give_the_same_bits(tmp_path: Path) -> None:
     assert compiled[0] == loaded[0]
 
 
-def double(values: np.ndarray, start: int, stop: int) -> None:
-    """Double a part of an array."""
-    values[start:stop] *= 2
+CHAIN = """
+import hashlib, sys
+import numpy as np
+import binocular_recon.io.messages.transforms
+from binocular_recon import Chain, ChainConfig
+from binocular_recon._jit import limit_threads
+from binocular_recon._kernel_cache import compiled_count
+from binocular_recon.camera import Camera, StereoRig
+limit_threads({threads})
+K = np.array([[200.0, 0, 80], [0, 200, 60], [0, 0, 1]])
+left_P, right_P = (np.c_[K, [shift, 0, 0]] for shift in (0, -50))
+D = np.array([-0.05, 0.01, 0, 0, 0])
+rig = StereoRig(*(Camera(160, 120, K, D, np.eye(3), P) for P in (left_P, right_P)))
+wide = np.random.default_rng(0).uniform(60, 200, (120, 240))
+wide = sum(np.roll(wide, (i, j), (0, 1)) for i in range(3) for j in range(3)) / 9
+wide[40:70, 100:130] = 128  # nothing to match
+pair = [np.ascontiguousarray(wide[:, x : x + 160]).astype(np.uint8) for x in (40, 50)]
+result = Chain(rig, ChainConfig.preset('default', disparity_range=32))(*pair)
+one = result.filtered
+arrays = result.cloud.points_xyz, result.cloud.sigma_z_m, one.disparity_px, one.validity
+assert np.isfinite(arrays[2]).mean() > 0.9
+digest = hashlib.sha256(b''.join(array.tobytes() for array in arrays)).hexdigest()
+print(digest, compiled_count(), 'scipy.linalg' in sys.modules or 'scipy.spatial' in sys.modules)
+"""
+# In which sums are, whose order the compiler chooses.
+SUMMING = ['_filter_kernels', '_gradient_kernels', '_lattice_kernels']
 
 
-def run(answers: multiprocessing.SimpleQueue[float]) -> None:
-    """Use the pool of threads and tell the sum."""
-    values = np.ones(8)
-    _jit.over_strips(double, 8, values, strip=2)
-    answers.put(float(values.sum()))
-
-
-@pytest.mark.skipif(not hasattr(os, 'fork'), reason='this system has no fork')
-def test_a_forked_process_has_its_own_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_jit, 'thread_count', lambda: 2)
-    fork = multiprocessing.get_context('fork')
-    answers = fork.SimpleQueue()
-    run(answers)
-    process = fork.Process(target=run, args=(answers,))
-    process.start()
-    process.join(10)
-    alive = process.is_alive()
-    process.kill()
-    assert not alive
-    assert [answers.get(), answers.get()] == [16, 16]
+@pytest.mark.long
+def test_the_chain_gives_the_same_bits_whatever_is_loaded_and_however_many_threads(
+    tmp_path: Path,
+) -> None:
+    """In a copy of the package, with its cache and then without a part of it."""
+    here = subprocess.run([sys.executable, '-c', CHAIN.format(threads=0)], check=False)
+    assert here.returncode == 0  # what was not compiled yet is kept for all tests
+    package = tmp_path / 'binocular_recon'
+    no_code = shutil.ignore_patterns('*.pyc')
+    shutil.copytree(_jit.__file__.rpartition('/')[0], package, ignore=no_code)
+    once = run_copy(tmp_path, CHAIN.format(threads=1))
+    loaded = run_copy(tmp_path, CHAIN.format(threads=2))
+    for file in package.rglob('*.nb?'):
+        if file.name.startswith(tuple(SUMMING)):
+            file.unlink()
+    compiled = run_copy(tmp_path, CHAIN.format(threads=2))
+    assert int(compiled[1]) > 5
+    assert once[0] == loaded[0] == compiled[0]
+    assert loaded[1:] == ['0', 'False'], 'loading kernels imports nothing slow'
