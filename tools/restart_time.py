@@ -65,10 +65,8 @@ def main() -> None:
                 number = next(numbers)
                 cameras.send(number, images)
                 if disparities is not None:
-                    disparity_px = np.full((480, 640), 12, np.float32)
-                    fill_disparity(
-                        disparity, disparity_px, rig, (0, 64), header(number), step_px=1
-                    )
+                    head = header(number)
+                    fill_disparity(disparity, plane, rig, (0, 64), head, step_px=1)
                     disparities.publish(disparity)
                 return bool(inbox.messages)
 
