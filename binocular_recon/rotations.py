@@ -41,7 +41,7 @@ def quaternion(R: FloatArray) -> FloatArray:
     K[3, :3] = K[:3, 3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     K[3, 3] = trace
     largest: FloatArray = np.linalg.eigh(K)[1][:, -1]
-    return np.copysign(1, largest[3]) * largest
+    return -largest if largest[3] < 0 else largest
 
 
 def quarter_turn(turns: int) -> FloatArray:
