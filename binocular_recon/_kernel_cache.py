@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import pickle
 import secrets
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -18,6 +20,8 @@ from typing import Any
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.environment import _rebuild_env
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 PACKAGE = Path(__file__).parent
@@ -93,7 +97,11 @@ class _CacheImpl(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of a function, except that an entry that does not load is compiled again."""
+    """Numba's cache of a function, except that an entry that does not load is compiled again.
+
+    Loading needs only the runtime that kernels are linked to. Numba first makes ready for
+    compilation, half a second of imports; it does so again when it compiles.
+    """
 
     _impl_class = _CacheImpl
 
@@ -109,7 +117,8 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            rtsys.initialize(target_context)
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception:  # noqa: BLE001 - a class of an earlier version may raise anything
             return None
 
@@ -185,4 +194,21 @@ def _undamaged(content: bytes) -> Any:
     content, digest = content[:-_DIGEST_BYTES], content[-_DIGEST_BYTES:]
     if hashlib.sha256(content).digest() != digest:
         raise ValueError('damaged')
-    return pickle.loads(content)  # noqa: S301 - numba's own format
+    return _Unpickler(io.BytesIO(content)).load()
+
+
+class _Unpickler(pickle.Unpickler):
+    """Pickle, except that globals of a kernel cause no imports."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        found = super().find_class(module, name)
+        return _environment if found is _rebuild_env else found
+
+
+def _environment(module: str, *others: Any) -> Any:
+    """Return what a kernel finds of its module, or of one of numba's that was compiled into it.
+
+    Only code that calls Python would look there; our kernels do not. Of a module that nobody has
+    imported, it stays empty: numba's for arrays would import scipy.linalg.
+    """
+    return _rebuild_env(module if module in sys.modules else 'numba', *others)  # type: ignore[no-untyped-call]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation vectors, cross products and quarter turns as matrices."""
+"""Rotation vectors, cross products, quarter turns and quaternions, to and from matrices."""
 
 from __future__ import annotations
 
@@ -28,6 +28,20 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
     matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
     matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
     return matrix
+
+
+def quaternion(R: FloatArray) -> FloatArray:
+    """Return the unit quaternion x, y, z, w >= 0 of a rotation matrix (3, 3).
+
+    Source: Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix" (2000).
+    """
+    trace = np.trace(R)
+    K = np.empty((4, 4))
+    K[:3, :3] = R + R.T - trace * np.eye(3)
+    K[3, :3] = K[:3, 3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    K[3, 3] = trace
+    largest: FloatArray = np.linalg.eigh(K)[1][:, -1]
+    return -largest if largest[3] < 0 else largest
 
 
 def quarter_turn(turns: int) -> FloatArray:

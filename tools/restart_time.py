@@ -17,6 +17,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESTARTS = 7
+TIMEOUT_S = 300.0
 os.environ.setdefault(
     'FASTDDS_DEFAULT_PROFILES_FILE', f'{REPOSITORY}/config/fastdds_shared_memory.xml'
 )
@@ -30,22 +31,28 @@ def main() -> None:
     import test  # that of the repository, not Python's own
 
     test.__path__ = [str(REPOSITORY / 'test')]
-    from sensor_msgs.msg import Image
+    import numpy as np
+    from sensor_msgs.msg import Image, PointCloud2
     from stereo_msgs.msg import DisparityImage
 
+    from binocular_recon.io.messages.disparities import fill_disparity
     from test.system.graph import Graph, NodeProcess, wait_until
-    from test.system.rig import CameraPair, image_pair, raw_rig
+    from test.system.rig import CameraPair, header, image_pair, raw_rig
 
     name = sys.argv[1] if len(sys.argv) > 1 else 'match_node'
     rig = raw_rig(width=640, height=480)
     images = image_pair(1, 640, 480)
     output, kind, suffix = {
-        'match_node': ('/rig/disparity', DisparityImage, 'image_rect'),
         'rectify_node': ('/rig/left/image_rect', Image, 'image_raw'),
+        'match_node': ('/rig/disparity', DisparityImage, 'image_rect'),
+        'wls_filter_node': ('/rig/points2', PointCloud2, 'image_rect'),
+        'stereo_node': ('/rig/points2', PointCloud2, 'image_raw'),
     }[name]
     graph = Graph()
     cameras = CameraPair(graph, rig, image=suffix)
     numbers = itertools.count()
+    plane, disparity = np.full((480, 640), 12, np.float32), DisparityImage()
+    disparities = graph.publisher('/rig/disparity', DisparityImage) if 'wls' in name else None
     times = []
     inbox = graph.inbox(output, kind)
     with tempfile.TemporaryDirectory() as folder:
@@ -55,10 +62,15 @@ def main() -> None:
             inbox.messages.clear()
 
             def came() -> bool:
-                cameras.send(next(numbers), images)
+                number = next(numbers)
+                cameras.send(number, images)
+                if disparities is not None:
+                    head = header(number)
+                    fill_disparity(disparity, plane, rig, (0, 64), head, step_px=1)
+                    disparities.publish(disparity)
                 return bool(inbox.messages)
 
-            wait_until(came, 'an output', every_s=0.1)
+            wait_until(came, 'an output', TIMEOUT_S, every_s=0.1)
             seconds = time.monotonic() - begun_s
             fields = Path(f'/proc/{node.process.pid}/stat').read_text().rpartition(')')[2].split()
             cpu_s = sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')

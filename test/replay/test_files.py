@@ -22,7 +22,7 @@ from binocular_recon.cli.main import main
 from binocular_recon.errors import ImageError
 from binocular_recon.images import to_bgr8
 from binocular_recon.io.calibration_yaml import write_rig
-from binocular_recon.io.pairs.stereo_video import VideoPair
+from binocular_recon.io.pairs.stereo_video import StereoVideo, VideoPair
 from binocular_recon.io.pairs.video import Video, VideoFrame
 from binocular_recon.io.pfm import read_pfm
 from binocular_recon.rotations import rotation
@@ -385,6 +385,23 @@ def test_videos_that_are_playlists_pipes_or_bombs(
     with Video(Path(large)) as video:
         assert list(video.frames()) == []
         assert 'large.mkv cannot be decoded' in video.damage[0]
+
+
+def test_each_video_has_the_size_of_its_own_camera(tmp_path: Path) -> None:
+    left, right = (
+        write_video(tmp_path / f'{number}.mkv', [pair[number] for pair in PAIRS])
+        for number in (0, 1)
+    )
+    half = write_video(tmp_path / 'half.mkv', [pair[1][::2, ::2].copy() for pair in PAIRS])
+    raw = {'D': np.array([0.01, 0, 0, 0, 0]), 'width': WIDTH // 2, 'height': HEIGHT // 2}
+    other = replace(rig(), right=replace(rig().right, **raw))
+    with Video(Path(left)) as video, Video(Path(right)) as whole, Video(Path(half)) as small:
+        frames = next(video.frames()), next(small.frames())
+        images = VideoPair(0, other, ('left #0', 'half #0'), frames).images()
+        assert [image.shape[:2] for image in images] == [(72, 96), (36, 48)]
+        StereoVideo(video, small, other, 'order')
+        with pytest.raises(ImageError, match=r'1\.mkv is 96x72 px, its calibration is for 48x36'):
+            StereoVideo(video, whole, other, 'order')
 
 
 def test_frames_of_16_bits_keep_them_and_damaged_ones_are_refused(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strips that the threads of kernels share."""
+"""Strips that the threads of kernels share, which survive a fork."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import threading
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from binocular_recon import _jit
@@ -62,3 +65,29 @@ def test_a_call_does_not_wait_for_the_strips_of_another() -> None:
     end.set()
     other.join(TIMEOUT_S)
     assert not other.is_alive()
+
+
+def double(values: np.ndarray, start: int, stop: int) -> None:
+    """Double a part of an array."""
+    values[start:stop] *= 2
+
+
+def run(answers: multiprocessing.SimpleQueue[float]) -> None:
+    """Use the pool of threads and tell the sum."""
+    values = np.ones(8)
+    _jit.over_strips(double, 8, values, strip=2)
+    answers.put(float(values.sum()))
+
+
+@pytest.mark.skipif(not hasattr(os, 'fork'), reason='this system has no fork')
+def test_a_forked_process_has_its_own_threads() -> None:
+    fork = multiprocessing.get_context('fork')
+    answers = fork.SimpleQueue()
+    run(answers)
+    process = fork.Process(target=run, args=(answers,))
+    process.start()
+    process.join(10)
+    alive = process.is_alive()
+    process.kill()
+    assert not alive
+    assert [answers.get(), answers.get()] == [16, 16]

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from scipy.spatial.transform import Rotation
-
 from binocular_recon.camera import FloatArray
+from binocular_recon.rotations import quaternion
 
 
 def fill_rotation(message: Any, R: FloatArray, header: Any, child_frame: str) -> None:
@@ -33,6 +32,4 @@ def fill_rotation(message: Any, R: FloatArray, header: Any, child_frame: str) ->
     message.header = header
     message.child_frame_id = child_frame
     rotation = message.transform.rotation
-    rotation.x, rotation.y, rotation.z, rotation.w = map(
-        float, Rotation.from_matrix(R.T).as_quat()
-    )
+    rotation.x, rotation.y, rotation.z, rotation.w = map(float, quaternion(R.T))

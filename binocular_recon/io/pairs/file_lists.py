@@ -6,6 +6,7 @@ from __future__ import annotations
 import glob
 import itertools
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from binocular_recon.errors import FileError
@@ -16,7 +17,7 @@ _VIDEOS = re.compile(
     r'\.(mp4|m4v|mov|mkv|webm|avi|wmv|mpe?g|m?ts|m2ts|flv|ogv|mjpeg|h26[45]|hevc)', re.IGNORECASE
 )
 
-# What a pattern fits may be without end: folders with links to themselves.
+# What a pattern with many `*` fits may be without end: folders with links to themselves.
 _MOST_NAMES = 200_000
 
 
@@ -61,9 +62,7 @@ def find_files(text: str, side: str) -> list[Path]:
     elif path.exists():
         found = [path]
     else:
-        # Path.glob takes no absolute patterns
-        matches = glob.iglob(text, recursive=True)  # noqa: PTH207
-        names = list(itertools.islice(matches, _MOST_NAMES + 1))
+        names = list(itertools.islice(_fitting(text), _MOST_NAMES + 1))
         if len(names) > _MOST_NAMES:
             raise FileError(
                 f'{text}: more than {_MOST_NAMES} names fit the pattern, perhaps by links that'
@@ -85,6 +84,22 @@ def find_files(text: str, side: str) -> list[Path]:
                 f' the images of the {side} camera only'
             )
     return sorted(found, key=lambda one: _natural(str(one)))
+
+
+def _fitting(text: str) -> Iterator[str | Path]:
+    """Return what fits a pattern. `**` follows no links: they may lead back."""
+    parts = Path(text).parts
+    if '**' not in parts:
+        yield from glob.iglob(text)  # noqa: PTH207 - Path.glob takes no absolute patterns
+        return
+    first = parts.index('**')
+    rest = Path(*(part if part == '**' else re.sub(r'\*+', '*', part) for part in parts[first:]))
+    wants_hidden = any(part.startswith('.') for part in rest.parts)
+    for folder in glob.iglob(str(Path(*parts[:first]))):  # noqa: PTH207
+        for path in Path(folder).glob(str(rest / '*' if rest.name == '**' else rest)):
+            inside = path.relative_to(folder).parts
+            if wants_hidden or not any(part.startswith('.') for part in inside):
+                yield path
 
 
 def _is_image(path: Path) -> bool:

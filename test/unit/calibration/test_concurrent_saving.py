@@ -23,12 +23,12 @@ from test.bag_tools import rig
 
 pytestmark = pytest.mark.long
 
-# `KILLS=1000` in the environment kills more often.
+# `KILLS=1000` in the environment kills more often. A kill counts if it hit a save.
 KILLS, READERS, SAVERS = int(os.environ.get('KILLS', '3')), 4, 2
 FOCAL_PX, STEP_PX = 500.0, 1 / 4096
 TESTS = Path(__file__).parents[2]
 # Starts savers, of other rigs each, per line of input. Each notes what it has saved, and when it
-# began and ended, in memory that outlives it.
+# began and ended, and whether it is saving, in memory that outlives it.
 RUNNER = """
 import json, os, sys, time
 from pathlib import Path
@@ -37,7 +37,7 @@ import test  # Python's own
 from binocular_recon.calibration.session.calibration_files import save_rig
 test.__path__ = [sys.argv[1]]
 from test.bag_tools import rig
-folder, notes = Path(sys.argv[2]), np.memmap(sys.argv[3], np.int64, 'r+', shape=(2, 3))
+folder, notes = Path(sys.argv[2]), np.memmap(sys.argv[3], np.int64, 'r+', shape=(2, 4))
 focal_px, step_px = map(float, sys.argv[4:])
 parent = os.getpid()
 for line in sys.stdin:
@@ -46,9 +46,11 @@ for line in sys.stdin:
         child = os.fork()
         while not child and os.getppid() == parent:
             count += 1
+            one = rig(focal_px + step_px * (2 * count + number))
             begun_ns = time.monotonic_ns()
-            save_rig(rig(focal_px + step_px * (2 * count + number)), folder)
-            notes[number] = count, begun_ns, time.monotonic_ns()
+            notes[number, 3] = True
+            save_rig(one, folder)
+            notes[number] = count, begun_ns, time.monotonic_ns(), False
         if not child:
             os._exit(0)
         savers.append(child)
@@ -75,7 +77,7 @@ def test_readers_and_two_savers_that_are_killed(
 ) -> None:
     save_rig(rig(FOCAL_PX), tmp_path)
     kept = tmp_path_factory.mktemp('notes') / 'notes'
-    notes = np.memmap(kept, np.int64, 'w+', shape=(SAVERS, 3))
+    notes = np.memmap(kept, np.int64, 'w+', shape=(SAVERS, 4))
     faults: list[BaseException] = []
     reads, more = [0] * READERS, threading.Condition()
     saving, ended = threading.Event(), threading.Event()
@@ -101,19 +103,21 @@ def test_readers_and_two_savers_that_are_killed(
         reader.start()
     try:
         counts, before, acknowledged_before = [0] * SAVERS, (0, 0), [0] * SAVERS
-        for kill in range(KILLS):
-            if ended.is_set():
-                break
+        kills = rounds = 0
+        while kills < KILLS and not ended.is_set():
+            notes[:, 3] = False
             print(json.dumps(counts), file=runner.stdin, flush=True)
             savers = json.loads(runner.stdout.readline())
             saving.set()
-            goal = sum(reads) + 5 + 7 * kill % 40
+            goal = sum(reads) + 5 + 7 * rounds % 40
+            rounds += 1
             with more:
                 more.wait_for(lambda goal=goal: ended.is_set() or sum(reads) >= goal, 60)  # type: ignore[misc]
             for saver in savers:
                 os.kill(saver, signal.SIGKILL)
             print(file=runner.stdin, flush=True)
             assert runner.stdout.readline() == 'ended\n'
+            kills += int(notes[:, 3].any())  # both at once count as one
             finish_saving(tmp_path)
             number, count = saved(read_rig(tmp_path))
             # the last one that was acknowledged, the one in progress, or none was saved

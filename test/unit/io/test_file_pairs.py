@@ -204,6 +204,13 @@ def test_patterns_that_never_end_and_pipes(
     touch(tmp_path, 'a.png')
     monkeypatch.setattr('binocular_recon.io.pairs.file_lists._MOST_NAMES', 1000)
     with pytest.raises(FileError, match=r'more than 1000 names fit the pattern, perhaps by links'):
-        find_files(str(tmp_path / '**' / '*.png'), 'left')
+        find_files(str(tmp_path / '*' / '*' / '*' / '*' / '*.png'), 'left')
+    (tmp_path / 'deep').mkdir()
+    touch(tmp_path / 'deep' / 'er', 'b.png')
+    touch(tmp_path / '.thumbnails', 'c.png')
+    wanted = [tmp_path / 'a.png', tmp_path / 'deep' / 'er' / 'b.png']
+    assert find_files(str(tmp_path / '**' / '*.png'), 'left') == wanted  # no link is followed
+    assert find_files(str(tmp_path / 'd*' / '**' / '***.png'), 'left') == wanted[1:]
+    assert find_files(str(tmp_path / 'deep' / '**'), 'left') == wanted[1:]
     os.mkfifo(tmp_path / 'a.jpg')
     assert capture_time_ns(tmp_path / 'a.jpg') is None
