@@ -393,8 +393,10 @@ def test_each_video_has_the_size_of_its_own_camera(tmp_path: Path) -> None:
         for number in (0, 1)
     )
     half = write_video(tmp_path / 'half.mkv', [pair[1][::2, ::2].copy() for pair in PAIRS])
-    raw = {'D': np.array([0.01, 0, 0, 0, 0]), 'width': WIDTH // 2, 'height': HEIGHT // 2}
-    other = replace(rig(), right=replace(rig().right, **raw))
+    raw = replace(
+        rig().right, D=np.array([0.01, 0, 0, 0, 0]), width=WIDTH // 2, height=HEIGHT // 2
+    )
+    other = replace(rig(), right=raw)
     with Video(Path(left)) as video, Video(Path(right)) as whole, Video(Path(half)) as small:
         frames = next(video.frames()), next(small.frames())
         images = VideoPair(0, other, ('left #0', 'half #0'), frames).images()
