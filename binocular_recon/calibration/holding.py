@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from binocular_recon.calibration.screening import Rejected
 from binocular_recon.calibration.target.capture import Capture
@@ -269,8 +269,8 @@ def _standard_error(values: FloatArray) -> float:
     """Return the standard error of a mean, widened so that 3 of it are as rare as of a normal."""
     if len(values) < 2:
         return float('nan')
-    normal = stats.norm.sf(MOST_SIGMAS)
-    wider = stats.t.isf(normal, len(values) - 1) / MOST_SIGMAS
+    normal = special.ndtr(-MOST_SIGMAS)
+    wider = -special.stdtrit(len(values) - 1, normal) / MOST_SIGMAS
     return float(wider * np.std(values, ddof=1) / np.sqrt(len(values)))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
@@ -96,7 +96,7 @@ def adjust(
             if not _on_a_line(problem, others):
                 error = problem.error(problem.fit(others), others, index)
                 left_out[control[index].name] = error
-    if misfit > stats.chi2.isf(FALSE_ALARM, freedom):
+    if misfit > special.chdtri(freedom, FALSE_ALARM):
         raise MeasurementError(_blunder(problem, control, used, misfit / freedom))
     residuals = {control[i].name: problem.error(fit, used, i) for i in used}
     checks = {one.name: problem.error(fit, used, i) for i, one in enumerate(control) if one.check}
@@ -160,7 +160,7 @@ def _blunder(
             fit = problem.fit(others)
             error = problem.error(fit, others, index)
             suspects.append((problem.misfit(fit, others), index, error))
-    limit = stats.chi2.isf(FALSE_ALARM, 3 * (len(used) - 1) - problem.parameters)
+    limit = special.chdtri(3 * (len(used) - 1) - problem.parameters, FALSE_ALARM)
     if not suspects or min(suspects, key=lambda one: one[0])[0] > limit:
         return (
             f'the control points contradict each other ({off}), and more than one is wrong; check'

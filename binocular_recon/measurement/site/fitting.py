@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from binocular_recon.camera import FloatArray
 from binocular_recon.errors import MeasurementError
@@ -26,7 +26,7 @@ from binocular_recon.rotations import rigid_fit, rotation, similarity_derivative
 LEAST_POINTS = 3
 _ITERATIONS = 20
 # Share of right points that are called odd: those beyond 3 sigma of one value.
-_ODD_SHARE = 2 * stats.norm.sf(3)
+_ODD_SHARE = special.erfc(3 / np.sqrt(2))
 # Directions of a covariance with less than this of its largest variance have no error at all, as
 # those of residuals that the fit takes up.
 _LEAST_VARIANCE = 1e-9
@@ -48,7 +48,7 @@ class PointError(NamedTuple):
         variances, axes = np.linalg.eigh(self.covariance)
         free = variances > _LEAST_VARIANCE * variances[-1]
         squared = (self.off_m @ axes[:, free]) ** 2 / variances[free]
-        return bool(squared.sum() > stats.chi2.isf(_ODD_SHARE, np.count_nonzero(free)))
+        return bool(squared.sum() > special.chdtri(np.count_nonzero(free), _ODD_SHARE))
 
 
 class Fit(NamedTuple):
