@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
-
-import numpy as np
+from decimal import Decimal
 
 # Not from strftime, which takes the language of the machine.
 _MONTHS = (
@@ -57,7 +56,7 @@ def plain(value: float, digits: int = 6) -> str:
     """Return a round number with no more digits than it needs, and at most ``digits``."""
     if not math.isfinite(value):
         return fixed(value)
-    text = np.format_float_positional(value, precision=digits, fractional=False, trim='-')
+    text = f'{Decimal(f"{value:.{digits}g}"):f}'  # without an exponent
     return '0' if text == '-0' else text
 
 

@@ -118,7 +118,7 @@ def test_sigma_z_of_the_demo_is_calibrated(demo: Path) -> None:
     error_px = (read_pfm(demo / '000000_disparity.pfm') - truth_px)[place]
     known = (visible & np.isfinite(truth_px))[place]
     # the motorcycle is one of the scenes where sigma is on the safe side
-    assert 0.65 < _normalised_error_rms(error_px[known], sigma_px[known]) < 1.4
+    assert 0.6 < _normalised_error_rms(error_px[known], sigma_px[known]) < 1.4
     assert np.quantile(sigma_px, 0.9) > 2 * np.quantile(sigma_px, 0.1)  # no constant
 
 

@@ -161,7 +161,7 @@ def test_what_was_compiled_from_other_sources_is_removed(
     monkeypatch.delitem(sys.modules, inner.stem, raising=False)
     monkeypatch.setattr('numba.core.config.CACHE_DIR', str(tmp_path / 'cache'))
     kept = []
-    for number, version in enumerate(['0.61.0', numba.__version__, numba.__version__]):
+    for number, version in enumerate(['0.60.0', numba.__version__, numba.__version__]):
         inner.write_text(INNER.format(number))
         os.utime(inner, (number, number))  # or Python takes the last one that it compiled
         _kernel_cache.kernels_stamp.cache_clear()
