@@ -134,7 +134,7 @@ def test_an_interruption_while_a_part_is_removed_leaves_none(
 KILLS = (
     ('.*.part', signal.SIGKILL),
     ('000001*', signal.SIGKILL),
-    ('.summary.json.*', signal.SIGKILL),
+    ('000002*', signal.SIGKILL),
     ('*.ply', signal.SIGTERM),
     ('*.ply', signal.SIGINT),
     ('000006*', signal.SIGKILL),
