@@ -62,8 +62,7 @@ def earlier_run(
         return None
     raise FileError(
         f'{folder} holds {counted(len(frames), "finished frame")} of an interrupted run that'
-        ' cannot be'
-        f' continued: {reason}; choose another folder, or start over (--no-resume)'
+        f' cannot be continued: {reason}; choose another folder, or start over (--no-resume)'
     )
 
 

@@ -203,9 +203,8 @@ def _check_rods(captures: Sequence[Capture], target: Target) -> None:
     if not seen.all():
         absent = ', '.join(str(rod + 1) for rod in np.flatnonzero(~seen))
         raise CalibrationError(
-            f'rods.yaml describes {counted(len(seen), "rod")}, but rod {absent} was found on'
-            ' none of the'
-            f' {len(captures)} boards; describe the rods that stand there'
+            f'rods.yaml describes {counted(len(seen), "rod")}, but rod {absent} was found on none'
+            f' of the {len(captures)} boards; describe the rods that stand there'
         )
 
 

@@ -50,9 +50,8 @@ def warnings_of(
     problem = found.problem
     if len(found.boards) < RECOMMENDED_BOARDS:
         warnings.append(
-            f'{counted(len(found.boards), "board was", "boards were")} used; depth is better'
-            ' known with'
-            f' {RECOMMENDED_BOARDS} or more'
+            f'{counted(len(found.boards), "board was", "boards were")} used; depth is better known'
+            f' with {RECOMMENDED_BOARDS} or more'
         )
     worse = problem.placement_scale > 1
     if worse.any():

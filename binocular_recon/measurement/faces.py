@@ -14,7 +14,7 @@ from binocular_recon.measurement.frame import MeasuredFrame
 from binocular_recon.measurement.planes import Plane, fitted_plane, height_above, normal_of
 from binocular_recon.measurement.results import Measurement, Quantity, quantities
 from binocular_recon.measurement.session import MeasuringSession
-from binocular_recon.measurement.snapping import check_inside
+from binocular_recon.measurement.snapping import check_inside, window_around
 from binocular_recon.measurement.uncertain import Uncertain, joined, propagate
 from binocular_recon.stereo.filtering.wls_filter import sigma_if_right
 
@@ -136,11 +136,7 @@ def _samples(frame: MeasuredFrame, pixels: FloatArray) -> list[Uncertain]:
     count = int(np.clip(round(length) + 1, 2, MOST_SAMPLES))
     found = []
     for index, pixel in enumerate(np.linspace(pixels[0], pixels[1], count)):
-        column, row = np.rint(pixel).astype(int)
-        window = (
-            slice(max(0, row - STRIP_HALF_PX), row + STRIP_HALF_PX + 1),
-            slice(max(0, column - STRIP_HALF_PX), column + STRIP_HALF_PX + 1),
-        )
+        window = window_around(pixel, STRIP_HALF_PX)
         used = frame.measured[window]
         if not used.any():
             continue

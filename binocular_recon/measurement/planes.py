@@ -60,9 +60,8 @@ def fitted_ground(frame: MeasuredFrame) -> Plane:
     lower = lower[:: len(lower) // GROUND_POINTS + 1]
     if len(lower) < GROUND_POINTS // 100:
         raise MeasurementError(
-            f'the lower half of the cloud has {counted(len(lower), "point")}, too few to find'
-            ' the ground;'
-            ' widen the range of depths'
+            f'the lower half of the cloud has {counted(len(lower), "point")}, too few to find the'
+            ' ground; widen the range of depths'
         )
     least = np.cos(np.deg2rad(MOST_TILT_DEG))
     rays, disparity = lower / lower[:, 2:], frame.focal_baseline / lower[:, 2]

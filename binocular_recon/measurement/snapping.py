@@ -97,12 +97,16 @@ def locate(frame: MeasuredFrame, pick: Pick, pick_sigma_px: float = PICK_SIGMA_P
     return frame.calibrated(Uncertain(here, effects))
 
 
+def window_around(pixel: FloatArray, half_px: int) -> tuple[slice, slice]:
+    """Return the rows and columns within ``half_px`` of a pixel."""
+    x, y = np.rint(pixel).astype(int)
+    rows, columns = (slice(max(0, at - half_px), at + half_px + 1) for at in (y, x))
+    return rows, columns
+
+
 def surface_at(frame: MeasuredFrame, pick: Pick) -> Surface:
     """Return the surface around a pick; raises a MeasurementError where nothing was measured."""
-    column, row = np.rint(pick.pixel).astype(int)
-    rows = slice(max(0, row - HALF_PX), row + HALF_PX + 1)
-    columns = slice(max(0, column - HALF_PX), column + HALF_PX + 1)
-    window = rows, columns
+    window = rows, columns = window_around(pick.pixel, HALF_PX)
     used = frame.measured[window]
     down, across = np.nonzero(np.ones_like(used))
     offsets = np.column_stack([across + columns.start, down + rows.start]) - pick.pixel
@@ -151,9 +155,7 @@ def _off_around(frame: MeasuredFrame, pick: Pick, surface: Surface) -> float:
     Wrong matches of neighbours agree with each other, but where they end is a step. What differs
     so much that it is another thing says nothing about this one.
     """
-    column, row = np.rint(pick.pixel).astype(int)
-    rows = slice(max(0, row - AROUND_PX), row + AROUND_PX + 1)
-    columns = slice(max(0, column - AROUND_PX), column + AROUND_PX + 1)
+    rows, columns = window_around(pick.pixel, AROUND_PX)
     down, across = np.nonzero(frame.measured[rows, columns])
     disparity = frame.disparity_px[rows, columns][down, across].astype(np.float64)
     offsets = np.column_stack([across + columns.start, down + rows.start]) - pick.pixel

@@ -86,9 +86,8 @@ def find_pose(here: MeasuredFrame, there: MeasuredFrame) -> Pose:
     if agree.sum() < LEAST_PAIRS:
         raise MeasurementError(
             f'only {counted(int(agree.sum()), "feature is", "features are")} seen in both at'
-            ' places that fit together, at'
-            f' least {LEAST_PAIRS} are needed; let the stations see more of the same from similar'
-            ' directions, or georeference each with control points'
+            f' places that fit together, at least {LEAST_PAIRS} are needed; let the stations see'
+            ' more of the same from similar directions, or georeference each with control points'
         )
     a, b, sigma = a[agree], b[agree], sigma[agree]
     R, t, covariance = _fit(a, b, sigma)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,13 @@ from binocular_recon.inputs.image_faults import (
     same_image,
 )
 from binocular_recon.stereo.matching import Match
-from binocular_recon.stereo.row_check import RowOffset, measure_rows, rows_apart, seen_by_both
+from binocular_recon.stereo.row_check import (
+    RowOffset,
+    matched_features,
+    measure_rows,
+    rows_apart,
+    seen_by_both,
+)
 from binocular_recon.stereo.search_range import EXCHANGED_SHARE, check_order, overview
 from binocular_recon.stereo.validity import FEW_MATCHED
 
@@ -173,16 +180,17 @@ def explain_few(
 
     """
     images = {'left': left, 'right': right}
+    features = cache(lambda: matched_features(left, right))
     causes: tuple[Callable[[], str], ...] = (
         lambda: same_image(left, right),
         lambda: _turned(left, right, config, infinity_px or 0.0),
-        lambda: rows_apart(left, right),
+        lambda: rows_apart(features(), left.shape),
         lambda: interlaced(images),
         lambda: partly_covered(images),
         lambda: noise_alone(images),
         lambda: less_sharp(images, BLURRED),
         lambda: faint(images),
-        lambda: seen_by_both(left, right),
+        lambda: seen_by_both(features()),
     )
     return next((cause for find in causes if (cause := find())), '')
 

@@ -134,13 +134,33 @@ def _best_shift(scores: npt.NDArray[np.float32]) -> float | None:
     return float(row) - _SHIFT_Y + (above - below) / (2 * curvature)
 
 
-def rows_apart(left: FloatImage, right: FloatImage) -> str:
+def matched_features(left: FloatImage, right: FloatImage) -> FloatImage:
+    """Return x and y of features that look alike, in the left and the right image: (n, 2, 2).
+
+    The images (H, W) have grey levels; NaN = no data.
+    """
+    detector = cv2.ORB_create(nfeatures=_FEATURES)
+    (left_points, left_descriptors), (right_points, right_descriptors) = (
+        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
+    )
+    if left_descriptors is None or right_descriptors is None:
+        return np.empty((0, 2, 2), np.float32)
+    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
+        left_descriptors, right_descriptors
+    )
+    points = [(left_points[one.queryIdx].pt, right_points[one.trainIdx].pt) for one in pairs]
+    return np.array(points, np.float32).reshape(-1, 2, 2)
+
+
+def rows_apart(features: FloatImage, shape: tuple[int, ...]) -> str:
     """Say that rows are off by more than matching bridges, from features anywhere.
 
     Parameters
     ----------
-    left, right : (H, W) float32
-        Grey levels; NaN = no data.
+    features : (n, 2, 2) float32
+        As `matched_features` returns them.
+    shape : tuple of int
+        Rows and columns of the images.
 
     Returns
     -------
@@ -149,10 +169,9 @@ def rows_apart(left: FloatImage, right: FloatImage) -> str:
         agree about any of these.
 
     """
-    features = _matched_features(left, right)
     if len(features) < _AGREE_LEAST:
         return ''
-    middle = (np.array(left.shape[::-1]) - 1) / 2
+    middle = (np.array(shape[::-1]) - 1) / 2
     rows = features[:, 0, 1] - middle[1]
     x, y = (features[:, 1] - middle).T
     agreeing, off_px = _shared(y - rows)
@@ -179,23 +198,15 @@ def rows_apart(left: FloatImage, right: FloatImage) -> str:
     return f'{text} ({agreeing} of {rows.size} features); rectify, or calibrate again'
 
 
-def seen_by_both(left: FloatImage, right: FloatImage) -> str:
+def seen_by_both(features: FloatImage) -> str:
     """Say that the images show different things, or the same on other rows.
 
-    Parameters
-    ----------
-    left, right : (H, W) float32
-        Grey levels; NaN = no data.
-
-    Returns
-    -------
-    str
-        Empty if there are few features, or the two are as unlike as a good pair may be.
-
+    Empty if there are few features (n, 2, 2), as of `matched_features`, or the two images are as
+    unlike as a good pair may be.
     """
-    features = _matched_features(left, right).astype(np.float64)
     if len(features) < _FEW_FEATURES:
         return ''
+    features = features.astype(np.float64)
     cv2.setRNGSeed(0)
     _, mask = cv2.findFundamentalMat(
         features[:, 0], features[:, 1], cv2.FM_RANSAC, _ON_LINE_PX, 0.99, _TRIES
@@ -216,21 +227,6 @@ def seen_by_both(left: FloatImage, right: FloatImage) -> str:
         f' {len(features)} features fit two cameras, and their rows differ by {apart_px:.1f} px'
         ' (median); rectify the images, with the calibration of this rig'
     )
-
-
-def _matched_features(left: FloatImage, right: FloatImage) -> npt.NDArray[np.float32]:
-    """Return x and y of features that look alike, in the left and the right image: (n, 2, 2)."""
-    detector = cv2.ORB_create(nfeatures=_FEATURES)
-    (left_points, left_descriptors), (right_points, right_descriptors) = (
-        detector.detectAndCompute(_bytes(image), None) for image in (left, right)
-    )
-    if left_descriptors is None or right_descriptors is None:
-        return np.empty((0, 2, 2), np.float32)
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        left_descriptors, right_descriptors
-    )
-    points = [(left_points[one.queryIdx].pt, right_points[one.trainIdx].pt) for one in pairs]
-    return np.array(points, np.float32).reshape(-1, 2, 2)
 
 
 def _most_agreeing(

@@ -129,8 +129,7 @@ def _check(folder: MeasuredFolder, output: Path) -> None:
     if folder.count < 2:
         raise MeasurementError(
             f'{folder.folder} holds {counted(folder.count, "frame")}; at least 2 of a rig that'
-            ' stands still'
-            ' are needed: reconstruct more pairs'
+            ' stands still are needed: reconstruct more pairs'
         )
     check_apart(output, folder.folder)
     for number in range(folder.count):

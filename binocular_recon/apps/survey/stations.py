@@ -171,9 +171,8 @@ def merge_stations(
 def _check(folder: MeasuredFolder, output: Path) -> None:
     if folder.count != 1:
         raise MeasurementError(
-            f'{folder.folder} holds {counted(folder.count, "frame")}, a station has one:'
-            ' average the frames'
-            f' of a rig that stood still first (merge {folder.folder} --output DIR)'
+            f'{folder.folder} holds {counted(folder.count, "frame")}, a station has one: average'
+            f' the frames of a rig that stood still first (merge {folder.folder} --output DIR)'
         )
     check_apart(output, folder.folder)
 

@@ -169,9 +169,8 @@ def _table(rows: list[_Row], left_out: tuple[str, ...]) -> PointTable:
     if len(names) * len(index) > _MOST_MARKS:
         raise CalibrationError(
             f'{rows[0].where}: {counted(len(names), "board")} of a target with'
-            f' {counted(len(index), "point")} are more'
-            f' than {_MOST_MARKS} marks, the limit; id must be that of the point on the target,'
-            ' the same on all boards'
+            f' {counted(len(index), "point")} are more than {_MOST_MARKS} marks, the limit; id'
+            ' must be that of the point on the target, the same on all boards'
         )
     boards = {
         name: {side: np.full((len(index), 1, 2), np.nan) for side in ('left', 'right')}

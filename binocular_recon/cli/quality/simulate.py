@@ -160,7 +160,7 @@ def _evaluate(board: RodBoard, captures: Iterator[SimulatedCapture], output: Pat
     rms, seconds = figures['rms_px'], figures['seconds_per_image']
     say(
         f'{figures["boards_complete"]} of {figures["boards"]} boards with every mark visible in'
-        f' both images;'
+        ' both images;'
         f' {counted(figures["wrong_identities"], "wrong identity", "wrong identities")}; error'
         f' {rms["x"]:.3f} px in x, {rms["y"]:.3f} px in y (RMS of {figures["marks_measured"]}'
         f' marks); {seconds["median"]:.2f} s per image'

@@ -131,9 +131,8 @@ def run(args: argparse.Namespace) -> None:
     say(', '.join(str(path) for path in files))
     peak = peak_bytes()
     say(
-        f'{counted(len(captures) + len(rejected), "board")} in'
-        f' {marks_s + solve_s + save_s:.1f} s: marks'
-        f' {marks_s:.1f} s, calibration {solve_s:.1f} s, report {save_s:.1f} s'
+        f'{counted(len(captures) + len(rejected), "board")} in {marks_s + solve_s + save_s:.1f} s:'
+        f' marks {marks_s:.1f} s, calibration {solve_s:.1f} s, report {save_s:.1f} s'
         + (f'; at most {peak / 1e6:.0f} MB of memory' if peak else '')
     )
 

@@ -260,8 +260,8 @@ def report(sites: Sequence[SiteSigmas]) -> str:
     shares = [site.well_matched for site in sites]
     return (
         f'{counted(len(sites), "simulated site")}, {BOARDS} boards with rods placed to'
-        f' {1e3 * PLACEMENT_M:g} mm: points matched to'
-        f' {WELL_MATCHED_PX:g} px ({np.mean(shares):.0%} of those away from outlines), and'
+        f' {1e3 * PLACEMENT_M:g} mm: points matched to {WELL_MATCHED_PX:g} px'
+        f' ({np.mean(shares):.0%} of those away from outlines), and'
         f' lengths of {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g} m between them.\n\n'
         + markdown_table(header, rows)
     )

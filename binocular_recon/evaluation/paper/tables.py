@@ -149,8 +149,7 @@ def _other_sites(runs: Sequence[PaperRun]) -> str:
         means.append(f'{_placement(placement)}: {values}')
     return (
         f' Mean of {counted(len({run.seed for run in simulated}), "other site")},'
-        f' {_marks(simulated[0])},'
-        f' planar / corrected / adjusted, px: {"; ".join(means)}.'
+        f' {_marks(simulated[0])}, planar / corrected / adjusted, px: {"; ".join(means)}.'
     )
 
 

@@ -282,9 +282,8 @@ def _time_check(
     pair, difference = odd[0]
     text = (
         f'warning: by their EXIF times {counted(len(odd), "pair does", "pairs do")} not belong'
-        ' together, the first being'
-        f' {pair.left.name} and {pair.right.name}: {difference:.1f} s apart, most are'
-        f' {usual:.1f} s; try --pair-by time'
+        f' together, the first being {pair.left.name} and {pair.right.name}: {difference:.1f} s'
+        f' apart, most are {usual:.1f} s; try --pair-by time'
     )
     return [text]
 

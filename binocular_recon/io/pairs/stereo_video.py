@@ -114,8 +114,8 @@ class StereoVideo:
         elif left.expected and right.expected and left.expected != right.expected:
             raise FileError(
                 f'{left.path} has {counted(left.expected, "frame")} and {right.path}'
-                f' {right.expected}, so'
-                ' their order does not tell which belong together; give --pair-by time'
+                f' {right.expected}, so their order does not tell which belong together; give'
+                ' --pair-by time'
             )
         self._synchronizer = Synchronizer(
             _SIDES,
@@ -196,9 +196,8 @@ class StereoVideo:
                 alone += 1
         if alone and not self.damage:
             self._order_damage.append(
-                f'one video has {counted(alone, "frame")} more than the other, so pairs by'
-                ' order may be of'
-                ' different moments; give --pair-by time'
+                f'one video has {counted(alone, "frame")} more than the other, so pairs by order'
+                ' may be of different moments; give --pair-by time'
             )
 
 

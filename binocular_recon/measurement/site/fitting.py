@@ -76,9 +76,9 @@ class Problem:
         self.control = [i for i, one in enumerate(control) if not one.check]
         if len(self.control) < LEAST_POINTS:
             raise MeasurementError(
-                f'the table has {counted(len(self.control), "control point")}, {LEAST_POINTS}'
-                ' that are not on one'
-                ' line are the least; without them --level makes the vertical right'
+                f'the table has {counted(len(self.control), "control point")}, {LEAST_POINTS} that'
+                ' are not on one line are the least; without them --level makes the vertical'
+                ' right'
             )
         self.all = joined(*points)
         self.places = self.all.values.reshape(-1, 3)

@@ -99,9 +99,8 @@ def describe_result(result: CalibrationResult) -> str:
     calibration, sigma = result.calibration, result.sigma
     depth_mm = 1e3 * result.depth_sigma_m(15.0)
     figures = (
-        f'{counted(len(result.names), "board")}: reprojection error'
-        f' {result.adjusted.error_px:.2f} px,'
-        f' baseline {1e3 * calibration.baseline_m:.1f} +-'
+        f'{counted(len(result.names), "board")}: reprojection error {result.adjusted.error_px:.2f}'
+        f' px, baseline {1e3 * calibration.baseline_m:.1f} +-'
         f' {significant(1e3 * sigma["baseline_m"], 2)} mm, depth sigma {depth_mm:.0f} mm at 15 m'
     )
     parts = [figures]

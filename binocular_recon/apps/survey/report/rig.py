@@ -44,9 +44,8 @@ def calibration(sources: ReportSources) -> str:
     warnings = ''.join(f'<li>{text(one)}</li>' for one in content.get('warnings') or ())
     return section(
         'Calibration',
-        f'{_age(sources, content)} {counted(len(boards), "board")} with'
-        f' {counted(marks, "mark")} in both images; RMS of'
-        f' the marks {fixed(content["rms_px"], 3)} px, mean row difference'
+        f'{_age(sources, content)} {counted(len(boards), "board")} with {counted(marks, "mark")}'
+        f' in both images; RMS of the marks {fixed(content["rms_px"], 3)} px, mean row difference'
         f' {fixed(content["row_difference_px"]["adjusted"]["mean"], 3)} px.',
         table(('parameter', 'value ± sigma'), rows),
         table(('distance', 'predicted sigma of depth'), depths),

@@ -247,9 +247,9 @@ def _posed(
     if spread > _SPREAD:
         raise CalibrationError(
             f'the pose of cameras {chosen[0]} and {chosen[1]} differs from frame to frame by'
-            f' {spread:.0%} of the baseline (median of {counted(len(pairs), "frame")}), at'
-            f' most {_SPREAD:.0%}'
-            ' are expected of a rig; reconstruct with rig constraints (colmap rig_configurator)'
+            f' {spread:.0%} of the baseline (median of {counted(len(pairs), "frame")}), at most'
+            f' {_SPREAD:.0%} are expected of a rig; reconstruct with rig constraints (colmap'
+            ' rig_configurator)'
         )
     if choice.baseline_m is None:
         notices.append(
